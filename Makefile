@@ -1,0 +1,44 @@
+# Two commands do everything: `make sweep` runs the main job, `make test` the tests. Both set up
+# what they need first; a second call installs nothing.
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python
+
+.PHONY: setup sweep test test-fast lint bench lock clean
+
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml requirements.lock
+	$(PYTHON) -m venv $(VENV)
+	$(RUN) -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(RUN) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+sweep: setup
+	$(RUN) -m cgm_jax.sweep --preset quick $(ARGS)
+
+test: lint
+	$(RUN) -m pytest $(ARGS)
+
+test-fast: lint
+	$(RUN) -m pytest -m "not slow" $(ARGS)
+
+lint: setup
+	$(RUN) -m ruff check .
+	$(RUN) -m ruff format --check .
+	$(RUN) -m pyright
+
+bench: setup
+	$(RUN) -m cgm_jax.benchmark $(ARGS)
+
+# Resolves pyproject.toml anew; commit the result.
+lock:
+	$(PYTHON) -m venv $(VENV)-lock
+	$(VENV)-lock/bin/python -m pip install --quiet pip-tools
+	$(VENV)-lock/bin/pip-compile --quiet --extra dev --strip-extras --no-emit-index-url \
+	    --no-emit-trusted-host --no-emit-find-links --no-header --output-file requirements.lock pyproject.toml
+	rm -rf $(VENV)-lock
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache

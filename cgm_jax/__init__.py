@@ -1,0 +1,29 @@
+"""Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
+
+The method (Eppe, Magg, Wermter 2019), one file each:
+
+    masking.py          the mask sampler: which goal dimensions to keep, by estimated success
+    relabelling.py      HER: replayed transitions with goals that were reached later
+    replay.py           the ring buffer of whole episodes that HER draws from
+    ddpg.py             actor and critic updates; networks.py their shape
+    normaliser.py       running mean and standard deviation of observations and goals
+
+The loop that puts them together, as pure functions over one state:
+
+    training_state.py   everything that training carries from step to step
+    rollout.py          episodes of many environments in one scan
+    training.py         a cycle, an epoch, evaluation: what is jitted and vmapped over runs
+
+Around it, on the host:
+
+    settings.py         every setting, its default, and whether a sweep may vary it
+    presets.py          smoke, quick, paper
+    grid.py             from lists of values to runs, and from runs to groups that fit in memory
+    sweep.py            `python -m cgm_jax.sweep`; train.py: a sweep of one; evaluate.py
+    run_directory.py    config.json, metrics.jsonl, policies, figures, checkpoints
+
+Environments live in the package `envs`; this one knows them only through
+`envs.GoalEnvironment`.
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,132 @@
+"""Options of the command-line programs, made from settings.py.
+
+Every setting is an option that takes one or more values. Bad input ends with one line and exit
+code 2, before JAX is imported.
+"""
+
+import contextlib
+import dataclasses
+import io
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal, NoReturn, TypeVar
+
+import tyro
+
+from cgm_jax.presets import PRESETS, Grid
+from cgm_jax.settings import Hyperparameters, SettingError, Settings
+
+BAD_INPUT = 2
+"""Exit code for input that is refused."""
+
+Options = TypeVar("Options")
+Preset = Literal["smoke", "quick", "paper"]
+Switch = Literal["on", "off"]
+
+
+def _option_type(item: "dataclasses.Field[Any]") -> Any:
+    if isinstance(item.default, bool):
+        return tuple[Switch, ...] | None
+    if item.name == "hidden_layers":
+        return tuple[int, ...] | None
+    kind = float if item.default is None else type(item.default)
+    return tuple[kind, ...] | None
+
+
+def _setting_options() -> list[tuple[str, Any, Any]]:
+    """One option per setting, absent by default: then the preset decides."""
+    items = [*dataclasses.fields(Settings), *dataclasses.fields(Hyperparameters)]
+    return [(item.name, Annotated[_option_type(item), _appearance(item)], None) for item in items]
+
+
+def _appearance(item: "dataclasses.Field[Any]") -> Any:
+    """How an option looks in --help: not as the optional list that it is internally."""
+    kind = "on|off" if isinstance(item.default, bool) else type(item.default).__name__.upper()
+    if item.default is None:
+        kind = "FLOAT"
+    if item.name == "hidden_layers":
+        kind = "INT"
+    default = "all settings default to the preset's" if item.name == "env" else ""
+    return tyro.conf.arg(
+        help=item.metadata["help"],
+        metavar=f"{kind} [{kind} ...]",
+        help_behavior_hint=f"({default})" if default else "",
+    )
+
+
+SettingOptions = dataclasses.make_dataclass("SettingOptions", _setting_options(), kw_only=True)
+"""Base of the programs' options: all settings, as lists."""
+
+
+def chosen_values(options: Any) -> Grid:
+    """The lists that the user gave, by setting."""
+    grid: Grid = {}
+    for item in dataclasses.fields(SettingOptions):
+        values = getattr(options, item.name)
+        if values is None:
+            continue
+        if item.name == "hidden_layers":
+            grid[item.name] = [values]  # several widths are one value
+        else:
+            grid[item.name] = [{"on": True, "off": False}.get(value, value) for value in values]
+    return grid
+
+
+def seed_values(options: Any, grid: Grid) -> Grid:
+    """Expand `--seeds N` to the seeds 0 to N - 1.
+
+    Raises:
+        SettingError: N is below 1, or `--seed` is given as well.
+    """
+    if options.seeds is None:
+        return grid
+    if "seed" in grid:
+        raise SettingError("seeds: give either --seeds (how many) or --seed (which), not both")
+    if not 1 <= options.seeds <= 10**6:
+        raise SettingError(f"seeds: {options.seeds} is not within [1, 1e+06]")
+    return {**grid, "seed": list(range(options.seeds))}
+
+
+def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) -> Options:
+    """Parse arguments; on bad ones end with one line and exit code 2."""
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                kind, args=arguments, prog=program, config=(tyro.conf.FlagConversionOff,)
+            )
+    except SystemExit as end:
+        if end.code == BAD_INPUT:
+            refuse(_first_paragraph(complaint.getvalue()))
+        raise
+
+
+def run_program(main: Callable[[], int]) -> NoReturn:
+    """Run a program's body and exit with its code, refusing bad settings with one line."""
+    try:
+        sys.exit(main())
+    except SettingError as error:
+        refuse(str(error))
+
+
+def refuse(message: str) -> NoReturn:
+    """End with one line and exit code 2."""
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(BAD_INPUT)
+
+
+def _first_paragraph(box: str) -> str:
+    """The message in the box that tyro draws around an error."""
+    lines = [re.sub(r"^│(.*)│$", r"\1", line.strip()).strip() for line in box.splitlines()]
+    message = []
+    for line in lines:
+        if line.startswith("╭"):
+            continue
+        if line.startswith(("─", "╰")):
+            break
+        message.append(line)
+    return " ".join(message).partition(" Got errors")[0].strip()
+
+
+assert set(PRESETS) == set(Preset.__args__)

@@ -1,0 +1,171 @@
+"""Goal-conditioned deep deterministic policy gradient (Lillicrap et al. 2016)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from cgm_jax.networks import Actor, Critic
+from cgm_jax.normaliser import Normaliser, network_input
+from cgm_jax.relabelling import Transitions
+from cgm_jax.settings import Hyperparameters
+
+Parameters = Any
+
+
+@struct.dataclass
+class Agent:
+    """Networks, targets and optimiser states of one run; `updates` counts the updates."""
+
+    actor: Parameters
+    critic: Parameters
+    target_actor: Parameters
+    target_critic: Parameters
+    actor_optimiser: optax.OptState
+    critic_optimiser: optax.OptState
+    updates: jax.Array
+
+
+@struct.dataclass
+class Minibatch:
+    """Transitions with goals and observations as the networks take them."""
+
+    inputs: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    next_inputs: jax.Array
+
+
+def prepare(normaliser: Normaliser, transitions: Transitions) -> Minibatch:
+    """Normalise transitions of any leading shape."""
+    return Minibatch(
+        inputs=network_input(normaliser, transitions.observation, transitions.goal),
+        action=transitions.action,
+        reward=transitions.reward,
+        next_inputs=network_input(normaliser, transitions.next_observation, transitions.next_goal),
+    )
+
+
+@dataclass(frozen=True)
+class DDPG:
+    """The algorithm: static structure, with pure functions over an `Agent`.
+
+    Attributes:
+        input_size: size of normalised observation and goal together.
+        action_size: number of action dimensions.
+        hidden_layers: widths of both networks.
+        target_update_every: updates between moves of the target networks.
+    """
+
+    input_size: int
+    action_size: int
+    hidden_layers: tuple[int, ...]
+    target_update_every: int
+
+    @property
+    def _actor(self) -> Actor:
+        return Actor(self.hidden_layers, self.action_size)
+
+    @property
+    def _critic(self) -> Critic:
+        return Critic(self.hidden_layers)
+
+    @property
+    def _adam(self) -> optax.GradientTransformation:
+        # Without its step size, which is traced and differs between runs.
+        return optax.scale_by_adam()
+
+    def initial_agent(self, key: jax.Array) -> Agent:
+        """Fresh networks, with targets equal to them."""
+        actor_key, critic_key = jax.random.split(key)
+        inputs, action = jnp.zeros(self.input_size), jnp.zeros(self.action_size)
+        actor = self._actor.init(actor_key, inputs)
+        critic = self._critic.init(critic_key, inputs, action)
+        return Agent(
+            actor=actor,
+            critic=critic,
+            target_actor=actor,
+            target_critic=critic,
+            actor_optimiser=self._adam.init(actor),
+            critic_optimiser=self._adam.init(critic),
+            updates=jnp.zeros((), jnp.int32),
+        )
+
+    def act(self, actor: Parameters, inputs: jax.Array) -> jax.Array:
+        """The actor's action [..., action_size] for normalised inputs [..., input_size]."""
+        return self._actor.apply(actor, inputs)  # pyright: ignore[reportReturnType]
+
+    def value(self, critic: Parameters, inputs: jax.Array, action: jax.Array) -> jax.Array:
+        """The critic's estimate [...] of the return of `action` in `inputs`."""
+        return self._critic.apply(critic, inputs, action)  # pyright: ignore[reportReturnType]
+
+    def critic_loss(
+        self, critic: Parameters, agent: Agent, batch: Minibatch, hyper: Hyperparameters
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """Mean squared error to the bootstrapped target, clipped to what returns can be.
+
+        Rewards are -1 or 0 and no state is terminal, so that returns lie in
+        [-1 / (1 - gamma), 0].
+        """
+        next_action = self.act(agent.target_actor, batch.next_inputs)
+        next_value = self.value(agent.target_critic, batch.next_inputs, next_action)
+        target = batch.reward + hyper.discount * next_value
+        target = jnp.clip(target, -1.0 / (1.0 - hyper.discount), 0.0)
+        value = self.value(critic, batch.inputs, batch.action)
+        loss = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value))
+        return loss, {"critic_loss": loss, "value": value.mean()}
+
+    def actor_loss(
+        self, actor: Parameters, agent: Agent, batch: Minibatch, hyper: Hyperparameters
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """Minus the value of the actor's actions, plus a penalty on their mean square."""
+        action = self.act(actor, batch.inputs)
+        loss = -jnp.mean(self.value(agent.critic, batch.inputs, action))
+        loss += hyper.action_penalty * jnp.mean(jnp.square(action))
+        return loss, {"actor_loss": loss}
+
+    def update(
+        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
+    ) -> tuple[Agent, dict[str, jax.Array]]:
+        """One gradient step on both networks, both from their present weights.
+
+        Returns:
+            The agent, and scalars to log: critic_loss, actor_loss, value.
+        """
+        critic_gradient, critic_info = jax.grad(self.critic_loss, has_aux=True)(
+            agent.critic, agent, batch, hyper
+        )
+        actor_gradient, actor_info = jax.grad(self.actor_loss, has_aux=True)(
+            agent.actor, agent, batch, hyper
+        )
+        critic, critic_optimiser = self._descend(
+            agent.critic, critic_gradient, agent.critic_optimiser, hyper.critic_learning_rate
+        )
+        actor, actor_optimiser = self._descend(
+            agent.actor, actor_gradient, agent.actor_optimiser, hyper.actor_learning_rate
+        )
+        updates = agent.updates + 1
+        rate = jnp.where(updates % self.target_update_every == 0, hyper.target_rate, 0.0)
+        return Agent(
+            actor=actor,
+            critic=critic,
+            target_actor=optax.incremental_update(actor, agent.target_actor, rate),
+            target_critic=optax.incremental_update(critic, agent.target_critic, rate),
+            actor_optimiser=actor_optimiser,
+            critic_optimiser=critic_optimiser,
+            updates=updates,
+        ), {**critic_info, **actor_info}
+
+    def _descend(
+        self,
+        parameters: Parameters,
+        gradient: Parameters,
+        optimiser: optax.OptState,
+        learning_rate: float | jax.Array,
+    ) -> tuple[Parameters, optax.OptState]:
+        direction, optimiser = self._adam.update(gradient, optimiser)
+        step = jax.tree.map(lambda leaf: -learning_rate * leaf, direction)
+        return optax.apply_updates(parameters, step), optimiser

@@ -1,0 +1,48 @@
+"""Action noise, drawn for whole rollouts at once.
+
+One draw of all steps compiles and runs faster than a draw per step inside the scan.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from cgm_jax.settings import Hyperparameters
+
+
+@struct.dataclass
+class Exploration:
+    """Noise for actions of any leading shape.
+
+    Attributes:
+        perturbation: what is added to an action, [..., action_size].
+        random_action: what replaces an action, uniform in [-1, 1], [..., action_size].
+        replaced: whether it does, [..., 1] bool.
+    """
+
+    perturbation: jax.Array
+    random_action: jax.Array
+    replaced: jax.Array
+
+
+def draw_exploration(
+    key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters
+) -> Exploration:
+    """Noise for actions of `shape` [..., action_size].
+
+    Gaussian with standard deviation `hyper.action_noise`; with probability
+    `hyper.random_action_probability` a uniform action instead.
+    """
+    normal_key, uniform_key = jax.random.split(key)
+    uniform = jax.random.uniform(uniform_key, (*shape[:-1], shape[-1] + 1))
+    return Exploration(
+        perturbation=hyper.action_noise * jax.random.normal(normal_key, shape),
+        random_action=2.0 * uniform[..., 1:] - 1.0,
+        replaced=uniform[..., :1] < hyper.random_action_probability,
+    )
+
+
+def explore(exploration: Exploration, action: jax.Array) -> jax.Array:
+    """The action [..., action_size] with its noise, within [-1, 1]."""
+    perturbed = jnp.clip(action + exploration.perturbation, -1.0, 1.0)
+    return jnp.where(exploration.replaced, exploration.random_action, perturbed)

@@ -1,0 +1,223 @@
+"""Figures of a sweep, drawn from its metrics.jsonl alone.
+
+    learning_curves.png   success rate over env_steps, median and quartiles over seeds
+    epochs_to_half.png    epochs to 50 % success over c_g, one line per kappa (the paper's Fig. 3)
+    mask_success.png      estimated against training success per mask (the paper's Fig. 5)
+"""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")  # no display needed
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from cgm_jax.run_directory import RunDirectory
+from cgm_jax.statistics import first_to_reach
+
+Rows = list[dict[str, Any]]
+QUARTILES = (25, 50, 75)
+
+
+def draw_figures(directory: RunDirectory) -> list[Path]:
+    """Draw all figures of a sweep into its directory; return their paths."""
+    rows = directory.metrics()
+    figures = {
+        "learning_curves": learning_curves(rows),
+        "epochs_to_half": epochs_to_half(rows),
+        "mask_success": mask_success(rows),
+    }
+    paths = []
+    for name, figure in figures.items():
+        path = directory.path / "figures" / f"{name}.png"
+        figure.savefig(path, dpi=130)
+        plt.close(figure)
+        paths.append(path)
+    return paths
+
+
+def learning_curves(rows: Rows) -> Figure:
+    """Success rate over env_steps, a panel per environment, a line per setting."""
+    by_env = _grouped(rows, lambda row: row["env"])
+    figure, panels = _panels(len(by_env), width=6.4, height=4.2)
+    for panel, (env, env_rows) in zip(panels, by_env.items(), strict=True):
+        for label, same in _grouped(env_rows, _setting_label).items():
+            steps, curves = _curves(same, "success_rate")
+            _draw_quartiles(panel, steps, curves, label)
+        panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
+        panel.set_title(_title(env))
+        _label_steps(panel)
+        _label_success(panel, "success rate, full goal")
+        panel.legend(fontsize=8, loc="upper left", framealpha=0.7)
+    return figure
+
+
+def epochs_to_half(rows: Rows) -> Figure:
+    """Epochs to 50 % success over c_g, a panel per environment and HER, a line per kappa."""
+    masked = [row for row in rows if row["cgm"]] or rows
+    groups = _grouped(masked, lambda row: (row["env"], row["her"]))
+    figure, panels = _panels(len(groups), width=5.0, height=4.0)
+    for panel, ((env, her), same) in zip(panels, groups.items(), strict=True):
+        last = max(row["epoch"] for row in same)
+        for kappa, kappa_rows in sorted(_grouped(same, lambda row: row["kappa"]).items()):
+            _draw_epochs_over_rate(panel, kappa, kappa_rows, last)
+        panel.axhline(last, color="grey", linewidth=0.8, linestyle=":")
+        panel.annotate(
+            f"not within {last} epochs (open)",
+            (0.02, last),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            fontsize=8,
+            color="grey",
+        )
+        panel.set_title(f"{_title(env)}, {'DDPG + HER' if her else 'DDPG'}")
+        panel.set_xlabel("target success rate $c_g$ (%)")
+        panel.set_ylabel("epochs to 50 % success")
+        panel.set_ylim(0, last * 1.12)
+        panel.yaxis.set_major_locator(MaxNLocator(integer=True))
+        panel.legend(fontsize=8)
+    return figure
+
+
+def mask_success(rows: Rows) -> Figure:
+    """Estimated and training success per mask, for the best setting with CGM per environment."""
+    by_env = _grouped([row for row in rows if row["cgm"]] or rows, lambda row: row["env"])
+    figure, panels = _panels(2 * len(by_env), width=5.0, height=4.0, columns=2)
+    pairs = zip(panels[::2], panels[1::2], strict=True)
+    for (estimated, training), (env, env_rows) in zip(pairs, by_env.items(), strict=True):
+        label, best = max(
+            _grouped(env_rows, _setting_label).items(),
+            key=lambda entry: np.mean([row["success_rate"] for row in entry[1]]),
+        )
+        for panel, name in ((estimated, "mask_rate_estimated"), (training, "mask_rate_training")):
+            _draw_masks(panel, best, name)
+            panel.set_title(f"{_title(env)}, {label}", fontsize=10)
+            _label_steps(panel)
+        _label_success(estimated, "estimated success of masked goal")
+        _label_success(training, "training success of masked goal")
+        training.legend(title="kept axes", fontsize=8, title_fontsize=8, loc="center right")
+    return figure
+
+
+def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> None:
+    """One line: quartiles over runs, at each c_g, of the epoch that first reaches 50 %."""
+    points = []
+    for c_g, same in sorted(_grouped(rows, lambda row: row["c_g"]).items()):
+        reached = [first_to_reach(run, 0.5) for run in _grouped(same, lambda r: r["run"]).values()]
+        epochs = [row["epoch"] if row else np.inf for row in reached]
+        # A quartile between a reached and an unreached run is unreached.
+        quartiles = np.percentile(epochs, QUARTILES, method="higher")
+        points.append((100 * c_g, *np.minimum(quartiles, last), np.isinf(quartiles[1])))
+    rates, low, median, high, unreached = np.array(points).T
+    unreached = unreached.astype(bool)
+    (line,) = panel.plot(rates, median, label=f"$\\kappa$ = {kappa:g}", zorder=3)
+    colour = line.get_color()
+    panel.plot(rates[~unreached], median[~unreached], "o", color=colour, zorder=4)
+    panel.plot(rates[unreached], median[unreached], "o", color=colour, mfc="white", zorder=4)
+    if len(rows) > len({(row["c_g"], row["epoch"]) for row in rows}):
+        panel.plot(rates, low, linestyle="--", linewidth=0.8, color=colour)
+        panel.plot(rates, high, linestyle="--", linewidth=0.8, color=colour)
+
+
+def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
+    masks = len(rows[0][name])
+    size = masks.bit_length() - 1
+    colours = plt.get_cmap("turbo")(np.linspace(0.05, 0.95, masks))
+    for mask in range(masks):
+        steps, curves = _curves(rows, lambda row, mask=mask: row[name][mask])
+        if not np.isfinite(curves).any():
+            continue
+        _draw_quartiles(panel, steps, curves, mask_label(mask, size), colours[mask])
+
+
+def mask_label(mask: int, size: int) -> str:
+    """The kept dimensions of a mask, such as "x z" for 5 of 8."""
+    names = "xyz" if size == 3 else [str(i + 1) for i in range(size)]
+    kept = [names[i] for i in range(size) if mask >> (size - 1 - i) & 1]
+    return " ".join(kept) or "none"
+
+
+def _draw_quartiles(
+    panel: Axes, steps: np.ndarray, curves: np.ndarray, label: str, colour: Any = None
+) -> None:
+    """Median line and quartile band of curves [runs, epochs], where any run has a value."""
+    known = np.isfinite(curves).any(axis=0)
+    low, median, high = np.nanpercentile(curves[:, known], QUARTILES, axis=0)
+    marker = "." if known.sum() < 2 else None
+    (line,) = panel.plot(steps[known], median, label=label, color=colour, marker=marker)
+    if len(curves) > 1:
+        panel.fill_between(steps[known], low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+
+
+def _curves(rows: Rows, value: Any) -> tuple[np.ndarray, np.ndarray]:
+    """env_steps [epochs] and values [runs, epochs]; NaN where a run has no value."""
+    read = value if callable(value) else lambda row: row[value]
+    steps = sorted({row["env_steps"] for row in rows})
+    place = {step: i for i, step in enumerate(steps)}
+    runs = _grouped(rows, lambda row: row["run"])
+    curves = np.full((len(runs), len(steps)), np.nan)
+    for curve, run in zip(curves, runs.values(), strict=True):
+        for row in run:
+            number = read(row)
+            curve[place[row["env_steps"]]] = np.nan if number is None else number
+    return np.array(steps, float), curves
+
+
+def _grouped(rows: Rows, key: Any) -> dict[Any, Rows]:
+    groups: dict[Any, Rows] = defaultdict(list)
+    for row in rows:
+        groups[key(row)].append(row)
+    return dict(groups)
+
+
+def _setting_label(row: dict[str, Any]) -> str:
+    """What the seeds of one setting have in common, for a legend."""
+    algorithm = "HER" if row["her"] else "DDPG"
+    if not row["cgm"]:
+        return f"{algorithm}, no CGM"
+    label = f"{algorithm} + CGM, $c_g$ = {100 * row['c_g']:g} %, $\\kappa$ = {row['kappa']:g}"
+    others = [p for p in row["run"].split("_cgm-")[-1].split("_")[1:] if "seed" not in p]
+    return ", ".join([label, *others])
+
+
+def _panels(
+    count: int, width: float, height: float, columns: int = 2
+) -> tuple[Figure, list[Axes]]:
+    columns = min(columns, count)
+    lines = -(-count // columns)
+    figure, grid = plt.subplots(
+        lines,
+        columns,
+        figsize=(width * columns, height * lines),
+        squeeze=False,
+        layout="constrained",
+    )
+    panels = list(grid.flat)
+    for unused in panels[count:]:
+        unused.remove()
+    for panel in panels[:count]:
+        panel.grid(alpha=0.25)
+    return figure, panels[:count]
+
+
+def _title(env: str) -> str:
+    return env.replace("_", "-") if ".py" not in env else Path(env).name
+
+
+def _label_steps(panel: Axes) -> None:
+    panel.set_xlabel("env_steps (thousands)")
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: f"{step / 1000:g}"))
+
+
+def _label_success(panel: Axes, label: str) -> None:
+    panel.set_ylabel(f"{label} (%)")
+    panel.set_ylim(-0.03, 1.03)
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda rate, _: f"{100 * rate:.0f}"))

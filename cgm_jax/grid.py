@@ -1,0 +1,107 @@
+"""From lists of values to runs, and from runs to programs.
+
+Runs that differ only in traced settings share one compiled program. The environment is the
+one static axis that a sweep may have: its values run one after another.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cgm_jax.presets import Grid, preset_grid
+from cgm_jax.settings import Hyperparameters, SettingError, Settings, check
+
+TRACED = tuple(item.name for item in dataclasses.fields(Hyperparameters))
+STATIC = tuple(item.name for item in dataclasses.fields(Settings))
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training run of a sweep."""
+
+    name: str
+    hyper: Hyperparameters
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that one program trains side by side."""
+
+    settings: Settings
+    runs: tuple[Run, ...]
+
+
+def build_groups(preset: str, options: Grid) -> list[Group]:
+    """All runs of a sweep, one group per environment.
+
+    Args:
+        preset: a name in `presets.PRESETS`.
+        options: lists of values that replace the preset's.
+
+    Raises:
+        SettingError: an empty list, several values of a static setting other than `env`, a
+            value out of range, or the same value twice.
+    """
+    groups = []
+    for env in _values({**preset_grid(preset), **options}, "env", Settings.env):
+        grid = {**preset_grid(preset, env), **options, "env": [env]}
+        for name, values in grid.items():
+            _check_axis(name, values)
+        settings = Settings(**{name: grid[name][0] for name in STATIC if name in grid})
+        groups.append(Group(settings, _runs(grid, env)))
+    return groups
+
+
+def split(group: Group, largest: int) -> list[Group]:
+    """Cut a group into groups of at most `largest` runs, as equal as can be."""
+    count = -(-len(group.runs) // largest)
+    size, longer = divmod(len(group.runs), count)
+    sizes = [size + 1] * longer + [size] * (count - longer)
+    ends = list(itertools.accumulate(sizes))
+    return [
+        Group(group.settings, group.runs[end - size : end])
+        for size, end in zip(sizes, ends, strict=True)
+    ]
+
+
+def _values(grid: Grid, name: str, default: Any) -> Sequence[Any]:
+    values = grid.get(name, [default])
+    _check_axis(name, values)
+    return values
+
+
+def _check_axis(name: str, values: Sequence[Any]) -> None:
+    if not values:
+        raise SettingError(f"{name}: needs at least one value")
+    if name in STATIC and name != "env" and len(values) > 1:
+        raise SettingError(
+            f"{name}: is static (it decides the compiled program), so a sweep cannot vary it"
+        )
+    if len(set(values)) < len(values):
+        raise SettingError(f"{name}: holds a value twice")
+
+
+def _runs(grid: Grid, env: str) -> tuple[Run, ...]:
+    """The product of the traced axes, less runs that differ only in what has no effect."""
+    axes = [grid.get(name, [getattr(Hyperparameters, name)]) for name in TRACED]
+    swept = [name for name in TRACED if len(grid.get(name, ())) > 1]
+    runs: dict[str, Run] = {}
+    for values in itertools.product(*axes):
+        hyper = Hyperparameters(*values)
+        check(hyper)
+        name = _run_name(env, hyper, swept)
+        runs.setdefault(name, Run(name, hyper))
+    return tuple(runs.values())
+
+
+def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
+    """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
+    parts = [env.rpartition("/")[2].replace(".py:", "-"), "her" if hyper.her else "ddpg"]
+    parts += [f"cgm-cg{hyper.c_g:g}-kappa{hyper.kappa:g}"] if hyper.cgm else ["full"]
+    for name in swept:
+        if name in ("seed", "c_g", "kappa", "cgm", "her") or (name == "her_k" and not hyper.her):
+            continue
+        parts.append(f"{name.replace('_', '')}{getattr(hyper, name):g}")
+    return "_".join([*parts, f"seed{hyper.seed}"])

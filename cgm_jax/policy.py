@@ -1,0 +1,89 @@
+"""Trained policies as files of plain arrays."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax.training.acme.running_statistics import NestedMeanStd
+
+from cgm_jax.ddpg import Parameters
+from cgm_jax.networks import Actor
+from cgm_jax.normaliser import (
+    GREATEST_NORMALISED_VALUE,
+    GREATEST_RAW_VALUE,
+    Normaliser,
+    network_input,
+)
+
+LIMITS = {"raw_limit": GREATEST_RAW_VALUE, "normalised_limit": GREATEST_NORMALISED_VALUE}
+
+
+def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.ndarray]:
+    """All arrays that the deterministic actor of one run needs.
+
+    Args:
+        actor: its parameters, `Agent.actor`.
+        statistics: its normaliser.
+
+    Returns:
+        `layer_<i>_kernel` [in, out] and `layer_<i>_bias` [out]; `observation_mean`,
+        `observation_std`, `goal_mean`, `goal_std`; and the scalars `raw_limit`,
+        `normalised_limit` to which inputs are clipped before and after normalisation.
+    """
+    arrays: dict[str, Any] = dict(LIMITS)
+    for layer, parameters in actor["params"].items():
+        for name, value in parameters.items():
+            arrays[f"{layer}_{name}"] = value
+    for kind in ("observation", "goal"):
+        running = getattr(statistics, kind)
+        arrays[f"{kind}_mean"], arrays[f"{kind}_std"] = running.mean, running.std
+    return {name: np.asarray(value, np.float32) for name, value in arrays.items()}
+
+
+def load_policy(path: Path) -> dict[str, np.ndarray]:
+    """Read a policy file. Never runs code from it.
+
+    Raises:
+        ValueError: the file is no policy: unreadable, or arrays missing or not numbers.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except Exception as error:
+        raise ValueError(f"{path}: not a readable policy file ({error})") from None
+    needed = {"layer_0_kernel", "observation_mean", "observation_std", "goal_mean", "goal_std"}
+    if missing := sorted((needed | set(LIMITS)) - set(arrays)):
+        raise ValueError(f"{path}: not a policy file, it lacks {', '.join(missing)}")
+    return arrays
+
+
+def act(
+    arrays: Mapping[str, jax.Array | np.ndarray], observation: jax.Array, goal: jax.Array
+) -> jax.Array:
+    """The deterministic action [..., a] of a policy file's arrays, in JAX.
+
+    Args:
+        arrays: as `load_policy` returns them.
+        observation: [..., observation_size].
+        goal: [..., n], the desired goal.
+    """
+    layers = sum(name.endswith("_kernel") for name in arrays)
+    parameters = {
+        f"layer_{i}": {part: jnp.asarray(arrays[f"layer_{i}_{part}"]) for part in ("kernel", "bias")}
+        for i in range(layers)
+    }
+    widths = [parameters[f"layer_{i}"]["bias"].shape[-1] for i in range(layers)]
+    statistics = Normaliser(
+        observation=_mean_std(arrays, "observation"),  # pyright: ignore[reportArgumentType]
+        goal=_mean_std(arrays, "goal"),  # pyright: ignore[reportArgumentType]
+    )
+    inputs = network_input(statistics, observation, goal)
+    actor = Actor(tuple(widths[:-1]), widths[-1])
+    return actor.apply({"params": parameters}, inputs)  # pyright: ignore[reportReturnType]
+
+
+def _mean_std(arrays: Mapping[str, jax.Array | np.ndarray], kind: str) -> NestedMeanStd:
+    return NestedMeanStd(mean=arrays[f"{kind}_mean"], std=arrays[f"{kind}_std"])

@@ -1,0 +1,68 @@
+"""Named experiments: values that replace the defaults of settings.py.
+
+A preset gives every setting a list of values; a list longer than one is a grid axis. Options
+on the command line replace the preset's lists one by one.
+"""
+
+from typing import Any
+
+Grid = dict[str, list[Any]]
+
+# Settings for a CPU, where network updates are the cost: small batches, targets that move at
+# every update, and actions penalised less. experiments/ holds the evidence.
+_CPU: Grid = {
+    "batch_size": [512],
+    "target_update_every": [1],
+    "target_rate": [0.005],
+    "cycles_per_epoch": [25],
+    "replay_transitions": [500_000],
+}
+
+PRESETS: dict[str, Grid] = {
+    # Seconds; proves that the whole path works, and learns nothing.
+    "smoke": {
+        "env": ["reach"],
+        "c_g": [0.1],
+        "kappa": [4.0, 32.0],
+        "epochs": [2],
+        "cycles_per_epoch": [2],
+        "environments": [4],
+        "updates_per_cycle": [4],
+        "batch_size": [32],
+        "hidden_layers": [(32, 32)],
+        "replay_transitions": [1000],
+        "evaluation_episodes": [10],
+    },
+    # What `make sweep` runs on two cores within ten minutes.
+    "quick": {
+        **_CPU,
+        "env": ["pick_and_place"],
+        "c_g": [0.1, 0.6],
+        "kappa": [32.0],
+        "epochs": [30],
+    },
+    # As printed: all 18 points, both tasks, with and without HER. For a GPU, or for patience.
+    "paper": {
+        "env": ["push", "pick_and_place"],
+        "c_g": [0.0, 0.1, 0.2, 0.4, 0.6, 0.8],
+        "kappa": [1.0, 4.0, 32.0],
+        "her": [True, False],
+        "seed": [0, 1, 2, 3, 4],
+        "epochs": [300],
+    },
+}
+
+# Where the paper's tasks differ: push used 4 workers of 4 rollouts, pick-and-place 16. Summed
+# gradients of w workers act, under Adam, like one batch of 256 w.
+PAPER_BY_ENV: dict[str, Grid] = {
+    "push": {"environments": [16], "batch_size": [1024]},
+    "pick_and_place": {"environments": [64], "batch_size": [4096]},
+}
+
+
+def preset_grid(name: str, env: str | None = None) -> Grid:
+    """The values of a preset, for one environment if the preset differs between them."""
+    grid = dict(PRESETS[name])
+    if name == "paper" and env in PAPER_BY_ENV:
+        grid.update(PAPER_BY_ENV[env])
+    return grid

@@ -1,0 +1,90 @@
+"""What a sweep shows while it runs."""
+
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from rich.columns import Columns
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
+
+
+class SweepProgress:
+    """A bar with ETA and env_steps/s, and the success of every run so far.
+
+    On a terminal it is redrawn in place; elsewhere there is one line per epoch.
+    """
+
+    def __init__(self, cycles: int, console: Console | None = None) -> None:
+        """Expect `cycles` cycles, summed over the groups of the sweep."""
+        self._console = console or Console(stderr=True)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("ETA"),
+            TimeRemainingColumn(elapsed_when_finished=False, compact=True),
+            TextColumn("{task.fields[speed]}"),
+            console=self._console,
+        )
+        self._task = self._bar.add_task("compiling", total=cycles, speed="")
+        self._live = Live(console=self._console, refresh_per_second=2)
+        self._success: dict[str, float] = {}
+        self._started = time.monotonic()
+        self._steps = 0
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._console.is_terminal:
+            self._live.__exit__(kind, error, trace)
+
+    def advance(self, cycles: int, env_steps: int, seconds: float) -> None:
+        """A chunk is done: so many cycles, and env_steps over all runs."""
+        speed = f"{env_steps / seconds:,.0f} env_steps/s"
+        self._bar.update(self._task, advance=cycles, speed=speed, description="training")
+        self._redraw()
+
+    def epoch(self, epoch: int, env_steps: int, success: dict[str, float]) -> None:
+        """An epoch is done: success rate per run, after env_steps of each run."""
+        self._success.update(success)
+        self._redraw()
+        if not self._console.is_terminal:
+            rates = sorted(success.values())
+            self._console.print(
+                f"epoch {epoch}: {env_steps:,} env_steps, success median "
+                f"{_percent(rates[len(rates) // 2])} of {len(rates)} runs "
+                f"({_percent(rates[0])} to {_percent(rates[-1])}), "
+                f"{time.monotonic() - self._started:.0f} s",
+                highlight=False,
+            )
+
+    def _redraw(self) -> None:
+        rows = [
+            Text(f"{name} {_percent(rate)}", style="green" if rate >= 0.5 else "")
+            for name, rate in self._success.items()
+        ]
+        self._live.update(Group(self._bar, Columns(rows, padding=(0, 3))))
+
+
+def _percent(rate: float) -> str:
+    return f"{100 * rate:.0f} %"
+
+
+def summary_lines(success: Sequence[tuple[str, float]]) -> list[str]:
+    """Final success per run, best first."""
+    ordered = sorted(success, key=lambda entry: -entry[1])
+    width = max(len(name) for name, _ in ordered)
+    return [f"{name:{width}}  {_percent(rate):>5}" for name, rate in ordered]

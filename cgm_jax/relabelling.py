@@ -1,0 +1,84 @@
+"""Hindsight experience replay: transitions whose goal was reached later in their episode.
+
+Andrychowicz et al. (2017), strategy "future": a relabelled transition at step t gets the goal
+achieved at a uniformly drawn later step t' of {t+1..T}, with the full mask. The others keep
+their episode's own goal and mask.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from cgm_jax.masking import apply_mask, masked_distance
+from cgm_jax.replay import Replay, size
+
+
+@struct.dataclass
+class Transitions:
+    """Transitions as the networks see them: goals are masked, rewards recomputed.
+
+    Attributes:
+        observation, next_observation: [..., observation_size].
+        goal, next_goal: masked with the achieved goal of their own step, [..., n].
+        action: [..., action_size].
+        reward: 0 where the next state achieves the masked goal, else -1; [...].
+    """
+
+    observation: jax.Array
+    goal: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    next_observation: jax.Array
+    next_goal: jax.Array
+
+
+def sample_transitions(
+    key: jax.Array,
+    replay: Replay,
+    count: int,
+    *,
+    her_probability: jax.Array,
+    distance_threshold: float,
+) -> Transitions:
+    """Draw transitions uniformly from the ring, and relabel each with probability k / (k + 1).
+
+    Args:
+        key: consumed.
+        replay: holds at least one episode.
+        count: how many.
+        her_probability: chance of relabelling, scalar; 0 is DDPG without HER.
+        distance_threshold: a goal is achieved closer than this.
+
+    Returns:
+        `count` transitions.
+    """
+    episodes = replay.episodes
+    episode_length = episodes.action.shape[1]
+    uniform = jax.random.uniform(key, (4, count))
+    episode = _integer_below(jnp.maximum(size(replay), 1), uniform[0])
+    step = _integer_below(episode_length, uniform[1])
+    future = step + 1 + _integer_below(episode_length - step, uniform[2])
+    relabel = uniform[3, :, None] < her_probability
+
+    hindsight_goal = episodes.achieved_goal[episode, future]
+    goal = jnp.where(relabel, hindsight_goal, episodes.desired_goal[episode])
+    mask = jnp.where(relabel, 1.0, episodes.mask[episode])
+    achieved, next_achieved = (episodes.achieved_goal[episode, step + i] for i in (0, 1))
+    distance = masked_distance(goal, mask, next_achieved)
+    return Transitions(
+        observation=episodes.observation[episode, step],
+        goal=apply_mask(goal, mask, achieved),
+        action=episodes.action[episode, step],
+        reward=jnp.where(distance < distance_threshold, 0.0, -1.0),
+        next_observation=episodes.observation[episode, step + 1],
+        next_goal=apply_mask(goal, mask, next_achieved),
+    )
+
+
+def _integer_below(bound: int | jax.Array, uniform: jax.Array) -> jax.Array:
+    """Turn numbers uniform in [0, 1) into integers uniform in {0..bound - 1}.
+
+    Far cheaper to compile than `jax.random.randint`. float32 numbers have 24 bits, which makes
+    probabilities uneven by at most bound / 2^24. Rounding must not reach the bound.
+    """
+    return jnp.minimum(jnp.floor(uniform * bound).astype(jnp.int32), bound - 1)

@@ -1,0 +1,98 @@
+"""Every setting of a run: its default, its range, and whether a sweep may vary it.
+
+*Traced* settings (`Hyperparameters`) enter the compiled program as numbers: one value per run,
+any number of runs in one process. *Static* settings (`Settings`) decide shapes and structure:
+one value per program. Defaults are the paper's; see presets.py for others.
+
+This module imports no JAX, so that bad input is refused before anything is loaded.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+
+class SettingError(ValueError):
+    """A setting out of its range; the message starts with its name."""
+
+
+def _setting(default: Any, help: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    return field(default=default, metadata={"help": help, "low": low, "high": high})
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Traced settings of one run; a sweep may vary all of them.
+
+    Also the pytree of arrays that the compiled program takes (see `training_state.stack`), so
+    that construction checks nothing: call `check`.
+    """
+
+    seed: int = _setting(0, "random seed", 0, 2**31 - 1)
+    c_g: float = _setting(0.1, "success rate aimed at by the mask sampler", 0, 1)
+    kappa: float = _setting(32.0, "sharpness of the mask sampler; 0 is uniform", 0, 1e6)
+    cgm: bool = _setting(True, "curriculum goal masking; off: always the full goal")
+    her: bool = _setting(True, "hindsight experience replay; off: only original goals")
+    her_k: float = _setting(6.0, "relabelled transitions for each original one", 0, 1e6)
+    actor_learning_rate: float = _setting(1e-3, "Adam step size of the actor", 0)
+    critic_learning_rate: float = _setting(1e-3, "Adam step size of the critic", 0)
+    discount: float = _setting(0.98, "discount factor gamma", 0, 0.9999)
+    target_rate: float = _setting(0.05, "how far targets move towards the networks", 0, 1)
+    action_penalty: float = _setting(1.0, "weight of mean squared action in the actor loss", 0)
+    action_noise: float = _setting(0.2, "standard deviation of exploration noise", 0)
+    random_action_probability: float = _setting(0.3, "chance of a uniform action", 0, 1)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Static settings, shared by all runs of one compiled program.
+
+    Raises:
+        SettingError: a value out of its range, or two that contradict each other.
+    """
+
+    env: str = _setting("push", "reach, push, pick_and_place, or FILE.py:FACTORY of your own")
+    engine: str = _setting("auto", "auto, native, mjx or warp")
+    air_probability: float | None = _setting(
+        None, "chance of a pick-and-place goal in the air (default: 1)", 0, 1
+    )
+    epochs: int = _setting(100, "epochs, each ending with an evaluation", 1, 10**9)
+    cycles_per_epoch: int = _setting(64, "cycles of rollouts and updates per epoch", 1, 10**9)
+    environments: int = _setting(16, "parallel environments; an episode each per cycle", 1, 10**6)
+    updates_per_cycle: int = _setting(40, "network updates per cycle", 1, 10**6)
+    batch_size: int = _setting(1024, "transitions per update", 1, 10**7)
+    target_update_every: int = _setting(40, "updates between moves of the targets", 1, 10**9)
+    hidden_layers: tuple[int, ...] = _setting((256, 256, 256), "widths of hidden layers", 1, 10**5)
+    replay_transitions: int = _setting(1_000_000, "capacity of the replay buffer", 1, 10**10)
+    evaluation_episodes: int = _setting(20, "noise-free full-goal episodes per epoch", 1, 10**6)
+    success_history: int = _setting(10, "evaluation episodes behind sub-goal rates, h", 1, 10**6)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def env_steps_per_epoch(self, episode_length: int) -> int:
+        """Environment steps that training takes in an epoch, over all environments."""
+        return self.cycles_per_epoch * self.environments * episode_length
+
+
+def check(settings: Settings | Hyperparameters) -> None:
+    """Check every value against its range.
+
+    Raises:
+        SettingError: a value that is not finite, or out of its range.
+    """
+    for item in dataclasses.fields(settings):
+        value = getattr(settings, item.name)
+        values = value if isinstance(value, tuple) else (value,)
+        if not values:
+            raise SettingError(f"{item.name}: needs at least one value")
+        for number in values:
+            if isinstance(number, str | bool | None):
+                continue
+            low, high = item.metadata["low"], item.metadata["high"]
+            if not math.isfinite(number):
+                raise SettingError(f"{item.name}: {number} is not a finite number")
+            if not low <= number <= high:
+                bounds = f"at least {low:g}" if high == math.inf else f"within [{low:g}, {high:g}]"
+                raise SettingError(f"{item.name}: {number} is not {bounds}")

@@ -1,0 +1,25 @@
+"""Small statistics of success rates and learning curves, in plain Python."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+
+def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
+    """Confidence interval of a success rate (Wilson 1927); z = 1.96 for 95 %.
+
+    Raises:
+        ValueError: no trials.
+    """
+    if trials < 1:
+        raise ValueError("a success rate needs at least one trial")
+    rate = successes / trials
+    centre = (rate + z * z / (2 * trials)) / (1 + z * z / trials)
+    spread = math.sqrt(rate * (1 - rate) / trials + (z / (2 * trials)) ** 2)
+    spread *= z / (1 + z * z / trials)
+    return max(0.0, centre - spread), min(1.0, centre + spread)
+
+
+def first_to_reach(rows: Sequence[dict[str, Any]], level: float) -> dict[str, Any] | None:
+    """The first metrics row of one run whose success rate is at least `level`."""
+    return next((row for row in rows if (row["success_rate"] or 0.0) >= level), None)

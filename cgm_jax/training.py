@@ -1,0 +1,242 @@
+"""The training loop: pure functions over a `TrainingState`, to be jitted and vmapped over runs.
+
+    trainer = Trainer(env, Settings(...))
+    state = trainer.initial_state(hyper)
+    state, metrics = trainer.epoch(state, hyper)
+
+One run is a sweep of one: `jax.vmap` the same functions over states and hyperparameters.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import sequential_vmap
+
+from cgm_jax.ddpg import DDPG, Agent, Minibatch, prepare
+from cgm_jax.exploration import Exploration, draw_exploration, explore
+from cgm_jax.masking import (
+    empty_history,
+    goal_masks,
+    mask_probabilities,
+    mask_success_rates,
+    record_successes,
+    sample_masks,
+    subgoal_rates,
+)
+from cgm_jax.normaliser import initial_normaliser, network_input, observe
+from cgm_jax.relabelling import sample_transitions
+from cgm_jax.replay import empty_replay, insert
+from cgm_jax.rollout import Policy, roll_out
+from cgm_jax.settings import Hyperparameters, Settings
+from cgm_jax.training_state import EpochStatistics, TrainingState, empty_statistics
+from envs import GoalEnvironment
+
+Metrics = dict[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """Curriculum goal masking with DDPG and HER on one environment.
+
+    Attributes:
+        env: what to train on.
+        settings: static settings; `settings.env` and `settings.engine` are not read here.
+    """
+
+    env: GoalEnvironment
+    settings: Settings
+
+    @functools.cached_property
+    def _sizes(self) -> tuple[int, int]:
+        """Sizes of the observation and of the goal."""
+        state = jax.eval_shape(self.env.reset, jax.random.key(0))
+        return state.obs["observation"].shape[-1], state.obs["desired_goal"].shape[-1]
+
+    @functools.cached_property
+    def ddpg(self) -> DDPG:
+        """The learning algorithm."""
+        return DDPG(
+            input_size=sum(self._sizes),
+            action_size=self.env.action_size,
+            hidden_layers=self.settings.hidden_layers,
+            target_update_every=self.settings.target_update_every,
+        )
+
+    def initial_state(self, hyper: Hyperparameters) -> TrainingState:
+        """The state of a run before any training; depends on `hyper.seed` alone."""
+        observation_size, goal_size = self._sizes
+        key, agent_key = jax.random.split(jax.random.key(hyper.seed))
+        length = self.env.episode_length
+        return TrainingState(
+            key=key,
+            agent=self.ddpg.initial_agent(agent_key),
+            normaliser=initial_normaliser(observation_size, goal_size),
+            replay=empty_replay(
+                max(self.settings.replay_transitions // length, self.settings.environments),
+                length,
+                observation_size,
+                goal_size,
+                self.env.action_size,
+            ),
+            history=empty_history(self.settings.success_history, goal_size),
+            statistics=empty_statistics(2**goal_size),
+            env_steps=jnp.zeros((), jnp.int32),
+        )
+
+    def epoch(self, state: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
+        """One epoch: `cycles_per_epoch` cycles, then an evaluation."""
+        state = self.train_cycles(state, hyper, self.settings.cycles_per_epoch)
+        return self.evaluate(state, hyper)
+
+    def train_cycles(
+        self, state: TrainingState, hyper: Hyperparameters, count: int | jax.Array
+    ) -> TrainingState:
+        """Any number of cycles. `count` may be traced, so that one program serves all chunks."""
+        return jax.lax.fori_loop(0, count, lambda _, state: self.cycle(state, hyper), state)
+
+    def cycle(self, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
+        """Draw masks, roll out, store, and update the networks."""
+        key, mask_key, reset_key, noise_key, update_key = jax.random.split(state.key, 5)
+        drawn = sample_masks(
+            mask_key, self.curriculum(state, hyper)[1], self.settings.environments
+        )
+        masks = goal_masks(self._sizes[1])[drawn]
+        shape = (self.env.episode_length, self.settings.environments, self.env.action_size)
+        rollout = roll_out(
+            self.env,
+            self._policy(state),
+            reset_key,
+            masks,
+            draw_exploration(noise_key, shape, hyper),
+        )
+        statistics = state.statistics
+        statistics = statistics.replace(
+            mask_episodes=statistics.mask_episodes.at[drawn].add(rollout.valid),
+            mask_successes=statistics.mask_successes.at[drawn].add(
+                rollout.valid & rollout.masked_success
+            ),
+            physics_warnings=statistics.physics_warnings + jnp.sum(~rollout.valid),
+        )
+        state = state.replace(
+            key=key,
+            replay=insert(state.replay, rollout.episodes, rollout.valid),
+            normaliser=observe(state.normaliser, rollout.episodes, rollout.valid),
+            statistics=statistics,
+            env_steps=state.env_steps + self.settings.environments * self.env.episode_length,
+        )
+        return self._update(state, hyper, update_key)
+
+    def curriculum(
+        self, state: TrainingState, hyper: Hyperparameters
+    ) -> tuple[jax.Array, jax.Array]:
+        """Per mask [2^n]: its estimated success rate, and its probability of being drawn.
+
+        Without CGM the full goal has probability 1.
+        """
+        masks = goal_masks(self._sizes[1])
+        rates = mask_success_rates(masks, subgoal_rates(state.history, hyper.c_g))
+        only_full_goal = jnp.zeros(len(masks)).at[-1].set(1.0)
+        probabilities = mask_probabilities(rates, hyper.c_g, hyper.kappa)
+        return rates, jnp.where(hyper.cgm, probabilities, only_full_goal)
+
+    def evaluate(
+        self, state: TrainingState, hyper: Hyperparameters
+    ) -> tuple[TrainingState, Metrics]:
+        """Close an epoch: noise-free episodes with the full goal, and the epoch's metrics.
+
+        Feeds the sub-goal history, starts new epoch statistics, and returns, per run, what
+        metrics.jsonl holds. Evaluation steps do not count as `env_steps`.
+        """
+        key, reset_key = jax.random.split(state.key)
+        full = jnp.ones((self.settings.evaluation_episodes, self._sizes[1]))
+        rollout = roll_out(self.env, self._policy(state), reset_key, full)
+        valid = rollout.valid
+        episodes = jnp.maximum(valid.sum(), 1)
+        statistics = state.statistics
+        rates, probabilities = self.curriculum(state, hyper)
+        metrics = {
+            "env_steps": state.env_steps,
+            "updates": state.agent.updates,
+            "success_rate": jnp.sum(valid & rollout.success) / episodes,
+            "subgoal_success": jnp.sum(valid[:, None] & rollout.subgoal_success, 0) / episodes,
+            "mask_rate_estimated": rates,
+            "mask_rate_training": statistics.mask_successes / statistics.mask_episodes,
+            "mask_probability": probabilities,
+            "physics_warnings": statistics.physics_warnings + jnp.sum(~valid),
+            **{name: total / statistics.updates for name, total in statistics.losses.items()},
+        }
+        return state.replace(
+            key=key,
+            history=record_successes(state.history, rollout.subgoal_success, valid),
+            statistics=empty_statistics(len(rates)),
+        ), metrics
+
+    def _policy(self, state: TrainingState) -> Policy:
+        """The actor, with noise where there is some."""
+
+        def policy(
+            observation: jax.Array, goal: jax.Array, exploration: Exploration | None
+        ) -> jax.Array:
+            inputs = network_input(state.normaliser, observation, goal)
+            action = self.ddpg.act(state.agent.actor, inputs)
+            return action if exploration is None else explore(exploration, action)
+
+        return policy
+
+    def minibatches(
+        self, state: TrainingState, hyper: Hyperparameters, key: jax.Array
+    ) -> Minibatch:
+        """All minibatches of a cycle [updates, batch_size, ...].
+
+        Replay and normaliser stay put during the updates, so that one draw serves them all.
+        """
+        updates, batch_size = self.settings.updates_per_cycle, self.settings.batch_size
+        transitions = sample_transitions(
+            key,
+            state.replay,
+            updates * batch_size,
+            her_probability=jnp.where(hyper.her, hyper.her_k / (hyper.her_k + 1.0), 0.0),
+            distance_threshold=self.env.distance_threshold,
+        )
+        return jax.tree.map(
+            lambda rows: rows.reshape(updates, batch_size, *rows.shape[1:]),
+            prepare(state.normaliser, transitions),
+        )
+
+    def _update(
+        self, state: TrainingState, hyper: Hyperparameters, key: jax.Array
+    ) -> TrainingState:
+        agent, losses = _vmap_for_platform(self._update_agent)(
+            state.agent, self.minibatches(state, hyper, key), hyper
+        )
+        return state.replace(
+            agent=agent,
+            statistics=_add_losses(state.statistics, losses, self.settings.updates_per_cycle),
+        )
+
+    def _update_agent(
+        self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
+    ) -> tuple[Agent, Metrics]:
+        return jax.lax.scan(lambda agent, batch: self.ddpg.update(agent, batch, hyper), agent, batches)
+
+
+def _vmap_for_platform(function: Callable[..., Any]) -> Callable[..., Any]:
+    """On a CPU, let vmap run a function for one run after the other.
+
+    One matrix product keeps all cores busy, and XLA's batched one costs 15 % more than its
+    parts. A GPU needs the batch.
+    """
+    return sequential_vmap(function) if jax.default_backend() == "cpu" else function
+
+
+def _add_losses(
+    statistics: EpochStatistics, losses: dict[str, jax.Array], updates: int
+) -> EpochStatistics:
+    return statistics.replace(
+        losses={name: total + losses[name].sum() for name, total in statistics.losses.items()},
+        updates=statistics.updates + updates,
+    )

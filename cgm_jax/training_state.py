@@ -1,0 +1,89 @@
+"""Everything that training carries from step to step, for one run."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from cgm_jax.ddpg import Agent
+from cgm_jax.masking import SubgoalHistory
+from cgm_jax.normaliser import Normaliser
+from cgm_jax.replay import Replay
+from cgm_jax.settings import Hyperparameters
+
+# All of them are traced; settings.py itself stays free of JAX.
+_NAMES = [field.name for field in dataclasses.fields(Hyperparameters)]
+jax.tree_util.register_dataclass(Hyperparameters, data_fields=_NAMES, meta_fields=[])
+
+
+def stack(runs: Sequence[Hyperparameters]) -> Hyperparameters:
+    """Hyperparameters of several runs as one pytree, every leaf [runs].
+
+    Types are fixed per field (int32, float32, bool), whatever the values, so that two grids of
+    the same length compile to the same program.
+    """
+    kinds = {int: np.int32, float: np.float32, bool: np.bool_}
+    return Hyperparameters(
+        **{
+            field.name: jnp.asarray(
+                np.array([getattr(run, field.name) for run in runs], kinds[type(field.default)])
+            )
+            for field in dataclasses.fields(Hyperparameters)
+        }
+    )
+
+
+@struct.dataclass
+class EpochStatistics:
+    """Sums over the training of one epoch.
+
+    Attributes:
+        mask_episodes: training episodes per mask, [2^n].
+        mask_successes: those that achieved their masked goal, [2^n].
+        physics_warnings: episodes dropped, scalar.
+        losses: sums over updates of the scalars that `DDPG.update` returns.
+        updates: updates in this epoch, scalar.
+    """
+
+    mask_episodes: jax.Array
+    mask_successes: jax.Array
+    physics_warnings: jax.Array
+    losses: dict[str, jax.Array]
+    updates: jax.Array
+
+
+@struct.dataclass
+class TrainingState:
+    """State of one run; under a sweep every leaf has a leading axis of runs.
+
+    Attributes:
+        key: source of all further randomness.
+        agent, normaliser, replay, history: see their modules.
+        statistics: of the epoch in progress.
+        env_steps: training steps over all environments so far, int32.
+    """
+
+    key: jax.Array
+    agent: Agent
+    normaliser: Normaliser
+    replay: Replay
+    history: SubgoalHistory
+    statistics: EpochStatistics
+    env_steps: jax.Array
+
+
+LOSSES = ("critic_loss", "actor_loss", "value")
+
+
+def empty_statistics(masks: int) -> EpochStatistics:
+    """Statistics at the start of an epoch, for a goal with this many masks."""
+    return EpochStatistics(
+        mask_episodes=jnp.zeros(masks),
+        mask_successes=jnp.zeros(masks),
+        physics_warnings=jnp.zeros(()),
+        losses={name: jnp.zeros(()) for name in LOSSES},
+        updates=jnp.zeros(()),
+    )

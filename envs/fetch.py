@@ -1,0 +1,158 @@
+"""The Fetch environments: an arm over a table, a box, and a goal position."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import Env, State
+
+from envs.mocap_controller import Gripper, control_target
+from envs.observations import fetch_observation
+from envs.physics.protocol import Physics, PhysicsState
+from envs.scene import Scene
+from envs.tasks import Task
+
+OFFSET_RANGE = 0.15
+"""Object and goal lie within this of the initial grip position, in x and in y (m)."""
+
+LEAST_OBJECT_DISTANCE = 0.1
+"""Horizontal distance of the object from the initial grip position, at least (m)."""
+
+GREATEST_GOAL_HEIGHT = 0.45
+"""A goal in the air lies up to this above the object's resting height (m)."""
+
+
+@dataclass(frozen=True)
+class FetchEnvironment(Env):
+    """One Fetch task on one physics engine; a brax environment and a `GoalEnvironment`.
+
+    Observation, action, reset and reward rules are those of Gymnasium-Robotics' Fetch.
+
+    Attributes:
+        task: which task.
+        scene: its model.
+        physics: the engine.
+        air_probability: chance that a goal lies above the table, up to 0.45 m (with an object).
+        distance_threshold: a goal is achieved closer than this, metres.
+        episode_length: control steps (of 0.04 s) per episode.
+
+    Raises:
+        ValueError: a field out of its range.
+    """
+
+    task: Task
+    scene: Scene
+    physics: Physics
+    air_probability: float
+    distance_threshold: float = 0.05
+    episode_length: int = 50
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.air_probability <= 1.0:
+            raise ValueError(f"air_probability: {self.air_probability} is not within [0, 1]")
+        if not self.distance_threshold > 0.0:
+            raise ValueError(f"distance_threshold: {self.distance_threshold} is not above 0")
+        if self.episode_length < 1:
+            raise ValueError(f"episode_length: {self.episode_length} is not at least 1")
+
+    @property
+    def observation_size(self) -> dict[str, int]:
+        """Size of each entry of `State.obs`."""
+        size = 25 if self.task.has_object else 10
+        return {"observation": size, "achieved_goal": 3, "desired_goal": 3}
+
+    @property
+    def action_size(self) -> int:
+        """Grip displacement (x, y, z) and the finger command."""
+        return 4
+
+    @property
+    def backend(self) -> str:
+        """Name of the engine's class."""
+        return type(self.physics).__name__
+
+    def reset(self, rng: jax.Array) -> State:
+        """Start an episode: a new object position and a new goal, drawn from `rng`."""
+        object_key, goal_key = jax.random.split(rng)
+        return self.reset_to(self.sample_object(object_key), self.sample_goal(goal_key))
+
+    def reset_to(self, object_xy: jax.Array, desired_goal: jax.Array) -> State:
+        """Start an episode with the object at `object_xy` [2] and this goal [3], in metres.
+
+        Without an object `object_xy` has no effect.
+        """
+        positions = jnp.asarray(self.scene.home, jnp.float32)
+        if self.scene.object_address is not None:
+            here = slice(self.scene.object_address, self.scene.object_address + 2)
+            positions = positions.at[here].set(object_xy)
+        return self._state(self.physics.start(positions), jnp.asarray(desired_goal, jnp.float32))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Advance by one control step of 0.04 s with `action` [4] in [-1, 1]."""
+        physics_state: PhysicsState = state.pipeline_state  # pyright: ignore[reportAssignmentType]
+        target = control_target(
+            action,
+            self._gripper(physics_state),
+            pose_lag=self.task.pose_lag,
+            compensate_weld=self.physics.weld_drifts,
+        )
+        return self._state(self.physics.advance(physics_state, target), state.obs["desired_goal"])
+
+    def sample_object(self, key: jax.Array) -> jax.Array:
+        """A position [2] uniform in the square around the grip, less the disc below the grip.
+
+        By rejection of a fixed number of draws, so that the function stays free of loops: the
+        disc takes 35 % of the square, so that all 32 are rejected once in 4e14 resets; such a
+        reset gets the last draw.
+        """
+        draws = jax.random.uniform(key, (32, 2), minval=-OFFSET_RANGE, maxval=OFFSET_RANGE)
+        accepted = jnp.linalg.norm(draws, axis=-1) >= LEAST_OBJECT_DISTANCE
+        first = jnp.where(accepted.any(), jnp.argmax(accepted), len(draws) - 1)
+        return jnp.asarray(self.scene.grip_home[:2], jnp.float32) + draws[first]
+
+    def sample_goal(self, key: jax.Array) -> jax.Array:
+        """A goal [3]: around the initial grip position, or on or above the table for the object."""
+        x, y, z, air, height = jax.random.uniform(key, (5,))
+        offset = OFFSET_RANGE * (2.0 * jnp.stack([x, y, z]) - 1.0)
+        goal = jnp.asarray(self.scene.grip_home, jnp.float32) + offset
+        if self.scene.object_home is None:
+            return goal
+        height = jnp.where(air < self.air_probability, GREATEST_GOAL_HEIGHT * height, 0.0)
+        return goal.at[2].set(self.scene.object_home[2] + height)
+
+    def _state(self, physics_state: PhysicsState, desired_goal: jax.Array) -> State:
+        sensor = "object_position" if self.task.has_object else "grip_position"
+        achieved_goal = self._reading(physics_state, sensor)
+        achieved = jnp.linalg.norm(achieved_goal - desired_goal) < self.distance_threshold
+        return State(
+            pipeline_state=physics_state,  # pyright: ignore[reportArgumentType]
+            obs={
+                "observation": fetch_observation(
+                    lambda sensor: self._reading(physics_state, sensor),
+                    has_object=self.task.has_object,
+                    fingers_blocked=self.task.fingers_blocked,
+                ),
+                "achieved_goal": achieved_goal,
+                "desired_goal": desired_goal,
+            },
+            reward=jnp.where(achieved, 0.0, -1.0),
+            done=jnp.zeros(()),  # episodes end by length alone
+            metrics={
+                "success": achieved.astype(jnp.float32),
+                "physics_warnings": physics_state.warnings.astype(jnp.float32),
+            },
+        )
+
+    def _gripper(self, physics_state: PhysicsState) -> Gripper:
+        right, left = (
+            self._reading(physics_state, f"{side}_finger_position") for side in ("right", "left")
+        )
+        return Gripper(
+            position=self._reading(physics_state, "gripper_position"),
+            orientation=self._reading(physics_state, "gripper_orientation"),
+            velocity=self._reading(physics_state, "grip_velocity"),
+            finger_positions=jnp.concatenate([right, left]),
+        )
+
+    def _reading(self, physics_state: PhysicsState, sensor: str) -> jax.Array:
+        return physics_state.sensors[self.scene.sensors[sensor]]

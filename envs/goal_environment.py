@@ -1,0 +1,45 @@
+"""What an environment must offer to be trained on."""
+
+from typing import Protocol
+
+import jax
+from brax.envs.base import State
+
+
+class GoalEnvironment(Protocol):
+    """A goal-conditioned environment of pure functions, for one episode at a time.
+
+    The trainer vmaps both functions over environments and over runs. `State` is brax's;
+    `State.obs` is a dict of float32 arrays: `observation` [observation_size],
+    `achieved_goal` [goal_size] and `desired_goal` [goal_size].
+
+    A goal is achieved where the Euclidean distance of achieved and desired goal is below
+    `distance_threshold`; a masked goal where the distance over its kept dimensions is. The
+    trainer computes rewards from that rule and does not read `State.reward`; nor does it
+    read `State.done`, since every episode takes exactly `episode_length` steps.
+
+    An engine that detects broken physics sets `State.metrics["physics_warnings"]` to
+    something above 0; the trainer then drops the episode, as it drops non-finite ones.
+
+    Attributes:
+        action_size: number of action dimensions, each in [-1, 1].
+        episode_length: steps per episode, T.
+        distance_threshold: in the unit of the goal (metres for Fetch).
+    """
+
+    @property
+    def action_size(self) -> int: ...
+
+    @property
+    def episode_length(self) -> int: ...
+
+    @property
+    def distance_threshold(self) -> float: ...
+
+    def reset(self, rng: jax.Array) -> State:
+        """Start an episode with a new initial state and a new goal."""
+        ...
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Advance by one control step with `action` [action_size]."""
+        ...

@@ -1,0 +1,43 @@
+"""Engines by name, and which one "auto" means."""
+
+import importlib.util
+
+from envs.physics.protocol import Physics
+from envs.scene import Scene
+
+ENGINES = ("auto", "native", "mjx", "warp")
+
+
+def choose_engine(name: str) -> str:
+    """Resolve "auto" by platform: native on a CPU; on a GPU warp where installed, else mjx.
+
+    Raises:
+        ValueError: the name is unknown, or the engine is not installed.
+    """
+    if name not in ENGINES:
+        raise ValueError(f"engine: unknown engine {name!r}; choose from {', '.join(ENGINES)}")
+    has_warp = importlib.util.find_spec("warp") is not None
+    if name == "warp" and not has_warp:
+        raise ValueError("engine: warp needs the package warp-lang, which is not installed")
+    if name != "auto":
+        return name
+
+    import jax
+
+    platform = jax.default_backend()
+    if platform == "cpu":
+        return "native"
+    return "warp" if has_warp and platform == "gpu" else "mjx"
+
+
+def start_engine(name: str, scene: Scene) -> Physics:
+    """Build an engine for a scene; its own dependencies are imported only here."""
+    name = choose_engine(name)
+    if name == "native":
+        from envs.physics.native import NativePhysics
+
+        return NativePhysics(scene)
+
+    from envs.physics.mjx import MjxPhysics
+
+    return MjxPhysics(scene, implementation="warp" if name == "warp" else "jax")

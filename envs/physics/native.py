@@ -1,0 +1,121 @@
+"""C MuJoCo from inside a jitted scan: one `mujoco.batch.Batch` call for all simulations.
+
+JAX sees a pure function. The state of a simulation is its float64 state row, which travels
+through JAX as raw bits (uint32), so that no rounding happens between control steps. Under
+vmap, to any depth, the leading axes are broadcast and flattened: all runs of a sweep and all
+their environments land in one call, which MuJoCo spreads over its thread pool, bit-identical
+at any number of threads.
+
+`buffer_callback` hands numpy views of XLA's own buffers to Python; `pure_callback` copies
+them through JAX arrays, which costs fifteen times as much per call.
+"""
+
+import os
+import threading
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jax.experimental.buffer_callback import buffer_callback
+from mujoco.batch import Batch
+
+from envs.mocap_controller import ControlTarget
+from envs.physics.protocol import PhysicsState
+from envs.scene import Scene
+
+WORDS_PER_FLOAT64 = 2
+COUNT = 1  # Batch.warning holds, per simulation and kind, what it was last about, and a count
+# Current positions and velocities suffice for every sensor, and accelerations would cost a
+# constraint solve.
+SENSOR_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL.value)
+
+
+class NativePhysics:
+    """The `native` engine. See `envs.physics.protocol.Physics`."""
+
+    def __init__(self, scene: Scene, threads: int | None = None) -> None:
+        """Prepare to simulate `scene` on `threads` threads (default: all this process may use).
+
+        Any number of threads gives the same bits.
+        """
+        self.weld_drifts = True
+        self._model = scene.model
+        self._blocked = list(scene.blocked_addresses)
+        self._substeps = scene.substeps
+        self._threads = threads or available_cores()
+        self._batches: dict[int, Batch] = {}
+        # XLA may run two programs at once, and a Batch serves one caller at a time.
+        self._lock = threading.Lock()
+        integration_state = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
+        self._row_words = WORDS_PER_FLOAT64 * mujoco.mj_stateSize(self._model, integration_state)
+
+    def start(self, positions: jax.Array) -> PhysicsState:
+        return self._call(self._start, positions)
+
+    def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
+        command = jnp.concatenate(target)
+        return self._call(self._advance, state.engine_state, command)
+
+    def _call(self, function: Any, *arguments: jax.Array) -> PhysicsState:
+        """Run a host function on the buffers of all vmapped simulations at once."""
+        outputs = (
+            jax.ShapeDtypeStruct((self._row_words,), jnp.uint32),
+            jax.ShapeDtypeStruct((self._model.nsensordata,), jnp.float32),
+            jax.ShapeDtypeStruct((), jnp.int32),
+        )
+        call = buffer_callback(function, outputs, vmap_method="broadcast_all")
+        return PhysicsState(*call(*arguments))
+
+    def _start(self, _: Any, outputs: Any, positions: Any) -> None:
+        """Host side of `start`: every simulation at rest at its positions."""
+        positions = _rows(positions)
+        with self._lock:
+            batch = self._batch(len(positions))
+            batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+            batch.bind("qpos")[:] = positions
+            batch.forward(stage=SENSOR_STAGE)
+            self._copy_out(batch, outputs)
+
+    def _advance(self, _: Any, outputs: Any, state: Any, command: Any) -> None:
+        """Host side of `advance`: load the rows, set the commands, step, hand the rows back."""
+        rows, command = _rows(state), _rows(command)
+        with self._lock:
+            batch = self._batch(len(rows))
+            batch.state[:] = rows.view(np.float64)
+            batch.bind("qpos")[:, self._blocked] = 0.0
+            batch.bind("mocap_pos")[:, 0] = command[:, :3]
+            batch.bind("mocap_quat")[:, 0] = command[:, 3:7]
+            batch.bind("ctrl")[:] = command[:, 7:]
+            batch.step(nstep=self._substeps, stage=SENSOR_STAGE)
+            self._copy_out(batch, outputs)
+
+    def _copy_out(self, batch: Batch, outputs: Any) -> None:
+        state, sensors, warnings = (np.asarray(output) for output in outputs)
+        _rows(state).view(np.float64)[:] = batch.state
+        _rows(sensors)[:] = batch.bind("sensordata")
+        # Batch resets a simulation whose state turns NaN and says so only here.
+        warnings.reshape(-1)[:] = batch.warning[:, :, COUNT].sum(axis=-1)
+        batch.warning[:] = 0
+
+    def _batch(self, simulations: int) -> Batch:
+        """The batch of that size; training and evaluation each reuse their own."""
+        if simulations not in self._batches:
+            batch = Batch(self._model, simulations, self._threads)
+            batch.bind("sensordata")
+            self._batches[simulations] = batch
+        return self._batches[simulations]
+
+
+def _rows(buffer: Any) -> np.ndarray:
+    """All leading axes of a host buffer as one; a view, never a copy."""
+    array = np.asarray(buffer)
+    return array.reshape(-1, array.shape[-1])
+
+
+def available_cores() -> int:
+    """Cores that this process may use, which in a container may be fewer than the machine's."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,42 @@
+"""What a physics engine offers to an environment."""
+
+from typing import Any, Protocol
+
+import jax
+from flax import struct
+
+from envs.mocap_controller import ControlTarget
+
+
+@struct.dataclass
+class PhysicsState:
+    """State of one simulation, a pytree that can be scanned, vmapped and stored.
+
+    Attributes:
+        engine_state: whatever the engine needs to go on exactly where it was.
+        sensors: sensor data [nsensordata], current with the state.
+        warnings: number of physics warnings in the last advance (bad state, divergence), an
+            int32 scalar. Above 0 the state is not to be trusted.
+    """
+
+    engine_state: Any
+    sensors: jax.Array
+    warnings: jax.Array
+
+
+class Physics(Protocol):
+    """A physics engine: pure functions of one simulation, vmappable to any depth.
+
+    Attributes:
+        weld_drifts: whether welds have the term that `mocap_controller.weld_drift` undoes.
+    """
+
+    weld_drifts: bool
+
+    def start(self, positions: jax.Array) -> PhysicsState:
+        """A simulation at rest at the generalised positions [nq]."""
+        ...
+
+    def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
+        """Pursue the target for one control step (0.04 s)."""
+        ...

@@ -1,0 +1,38 @@
+"""What distinguishes the Fetch tasks from each other, as data."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Task:
+    """One Fetch task.
+
+    Attributes:
+        scene: MJCF file in assets/fetch/.
+        has_object: whether there is a box, whose position is then the achieved goal.
+        fingers_blocked: whether the fingers are shut anew at every control step, whatever the
+            action says.
+        pose_lag: age in seconds of the gripper position that an action displaces. In
+            pick-and-place Gymnasium-Robotics reads it one 2 ms substep late.
+        air_probability: default chance that a goal lies above the table. 1 for the paper's
+            pick-and-place, whose DDPG+HER baseline never succeeds; Gymnasium-Robotics has 0.5.
+    """
+
+    scene: str
+    has_object: bool
+    fingers_blocked: bool
+    air_probability: float
+    pose_lag: float = 0.0
+
+
+TASKS = {
+    "reach": Task("reach.xml", has_object=False, fingers_blocked=True, air_probability=0.0),
+    "push": Task("push.xml", has_object=True, fingers_blocked=True, air_probability=0.0),
+    "pick_and_place": Task(
+        "pick_and_place.xml",
+        has_object=True,
+        fingers_blocked=False,
+        air_probability=1.0,
+        pose_lag=0.002,
+    ),
+}
