@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from cgm_jax.training_state import TrainingState
@@ -46,9 +47,9 @@ def _named_arrays(state: TrainingState) -> dict[str, np.ndarray]:
 
 def _restore(array: np.ndarray, like: jax.Array) -> jax.Array:
     if _is_key(like):
-        return jax.random.wrap_key_data(array)
-    return jax.numpy.asarray(array, like.dtype)
+        return jax.random.wrap_key_data(jnp.asarray(array))
+    return jnp.asarray(array, like.dtype)
 
 
 def _is_key(leaf: jax.Array) -> bool:
-    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -16,8 +16,7 @@ from cgm_jax.settings import Hyperparameters
 Parameters = Any
 
 
-@struct.dataclass
-class Agent:
+class Agent(struct.PyTreeNode):
     """Networks, targets and optimiser states of one run; `updates` counts the updates."""
 
     actor: Parameters
@@ -29,8 +28,7 @@ class Agent:
     updates: jax.Array
 
 
-@struct.dataclass
-class Minibatch:
+class Minibatch(struct.PyTreeNode):
     """Transitions with goals and observations as the networks take them."""
 
     inputs: jax.Array

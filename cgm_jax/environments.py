@@ -4,6 +4,7 @@ import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import jax
 
@@ -35,18 +36,6 @@ def make_environment(settings: Settings) -> GoalEnvironment:
     return _from_file(settings.env)
 
 
-def check_environment_name(name: str, engine: str) -> None:
-    """Refuse what `make_environment` would, as far as that can be told without building it.
-
-    Raises:
-        SettingError: no such environment, engine or file.
-    """
-    if engine not in envs.ENGINES:
-        raise SettingError(
-            f"engine: unknown engine {engine!r}; choose from {', '.join(envs.ENGINES)}"
-        )
-
-
 def _from_file(name: str) -> GoalEnvironment:
     file, _, factory_name = name.rpartition(":")
     path = Path(file)
@@ -55,14 +44,14 @@ def _from_file(name: str) -> GoalEnvironment:
     factory = getattr(_load_module(path), factory_name, None)
     if not callable(factory):
         raise SettingError(f"env: {file} has no function or class {factory_name!r}")
-    env = factory()
+    env: Any = factory()
     missing = [attribute for attribute in PROTOCOL if not hasattr(env, attribute)]
     if missing:
         raise SettingError(f"env: {name} lacks {', '.join(missing)}; see envs.GoalEnvironment")
     observation = jax.eval_shape(env.reset, jax.random.key(0)).obs
     if not isinstance(observation, dict) or not set(observation) >= ENTRIES:
         raise SettingError(f"env: State.obs of {name} is no dict with {', '.join(sorted(ENTRIES))}")
-    return env  # pyright: ignore[reportReturnType]
+    return env
 
 
 def _load_module(path: Path) -> ModuleType:

@@ -9,6 +9,7 @@ import tyro
 
 from cgm_jax.command_line import parse, run_program
 from cgm_jax.settings import SettingError
+from cgm_jax.startup import prepare_jax
 from cgm_jax.statistics import wilson_interval
 
 
@@ -33,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise SettingError(f"episodes: {options.episodes} is not within [1, 1e+06]")
     if not 0 <= options.seed < 2**31:
         raise SettingError(f"seed: {options.seed} is not within [0, 2^31)")
+    prepare_jax()
     from cgm_jax.evaluation import evaluate_directory
     from cgm_jax.run_directory import RunDirectory
 

@@ -47,6 +47,4 @@ def _evaluate_group(
     except ValueError as error:
         raise SettingError(str(error)) from None
     successes, valid = jax.jit(jax.vmap(success))(stacked)
-    return {
-        run.name: (int(successes[i]), int(valid[i])) for i, run in enumerate(group.runs)
-    }
+    return {run.name: (int(successes[i]), int(valid[i])) for i, run in enumerate(group.runs)}

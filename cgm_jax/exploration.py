@@ -10,8 +10,7 @@ from flax import struct
 from cgm_jax.settings import Hyperparameters
 
 
-@struct.dataclass
-class Exploration:
+class Exploration(struct.PyTreeNode):
     """Noise for actions of any leading shape.
 
     Attributes:
@@ -25,9 +24,7 @@ class Exploration:
     replaced: jax.Array
 
 
-def draw_exploration(
-    key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters
-) -> Exploration:
+def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters) -> Exploration:
     """Noise for actions of `shape` [..., action_size].
 
     Gaussian with standard deviation `hyper.action_noise`; with probability

@@ -1,8 +1,8 @@
 """Figures of a sweep, drawn from its metrics.jsonl alone.
 
-    learning_curves.png   success rate over env_steps, median and quartiles over seeds
-    epochs_to_half.png    epochs to 50 % success over c_g, one line per kappa (the paper's Fig. 3)
-    mask_success.png      estimated against training success per mask (the paper's Fig. 5)
+learning_curves.png   success rate over env_steps, median and quartiles over seeds
+epochs_to_half.png    epochs to 50 % success over c_g, one line per kappa (the paper's Fig. 3)
+mask_success.png      estimated against training success per mask (the paper's Fig. 5)
 """
 
 from collections import defaultdict
@@ -188,9 +188,7 @@ def _setting_label(row: dict[str, Any]) -> str:
     return ", ".join([label, *others])
 
 
-def _panels(
-    count: int, width: float, height: float, columns: int = 2
-) -> tuple[Figure, list[Axes]]:
+def _panels(count: int, width: float, height: float, columns: int = 2) -> tuple[Figure, list[Axes]]:
     columns = min(columns, count)
     lines = -(-count // columns)
     figure, grid = plt.subplots(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax.scipy.special import xlogy
+from jax.typing import ArrayLike
 
 
 def goal_masks(goal_size: int) -> jax.Array:
@@ -46,7 +47,7 @@ def mask_success_rates(masks: jax.Array, subgoal_rates: jax.Array) -> jax.Array:
     return jnp.prod(jnp.where(masks > 0, subgoal_rates, 1.0), axis=-1)
 
 
-def mask_probabilities(success_rates: jax.Array, c_g: jax.Array, kappa: jax.Array) -> jax.Array:
+def mask_probabilities(success_rates: jax.Array, c_g: ArrayLike, kappa: ArrayLike) -> jax.Array:
     """Probability of drawing each mask: p(m) proportional to (1 - |c_m - c_g|)^kappa.
 
     The paper prints |c_m - c_g|^kappa, which would prefer masks *far* from c_g; its text and
@@ -72,7 +73,9 @@ def apply_mask(goal: jax.Array, mask: jax.Array, achieved_goal: jax.Array) -> ja
     """Equation 1: kept dimensions of the goal, and the achieved goal in the masked ones.
 
     Args:
-        goal, mask, achieved_goal: [..., n], broadcast against each other.
+        goal: [..., n].
+        mask: 0 or 1, [..., n]; the three broadcast against each other.
+        achieved_goal: [..., n].
 
     Returns:
         [..., n]. Exactly `goal` under the full mask, and free of the goal's masked entries
@@ -91,8 +94,7 @@ def sample_masks(key: jax.Array, probabilities: jax.Array, count: int) -> jax.Ar
     return jax.random.categorical(key, jnp.log(probabilities), shape=(count,))
 
 
-@struct.dataclass
-class SubgoalHistory:
+class SubgoalHistory(struct.PyTreeNode):
     """Outcomes per sub-goal of the last h evaluation rollouts.
 
     Attributes:
@@ -130,7 +132,7 @@ def record_successes(
     )
 
 
-def subgoal_rates(history: SubgoalHistory, c_g: jax.Array) -> jax.Array:
+def subgoal_rates(history: SubgoalHistory, c_g: ArrayLike) -> jax.Array:
     """Success rate [n] per sub-goal over the history.
 
     Before any evaluation it is c_g^(1/n), so that the full goal is estimated at c_g.

@@ -20,6 +20,7 @@ class Actor(nn.Module):
 
     @nn.compact
     def __call__(self, inputs: jax.Array) -> jax.Array:
+        """The action [..., action_size] for inputs [..., input_size]."""
         return nn.tanh(_perceptron(inputs, self.hidden_layers, self.action_size))
 
 
@@ -34,6 +35,7 @@ class Critic(nn.Module):
 
     @nn.compact
     def __call__(self, inputs: jax.Array, action: jax.Array) -> jax.Array:
+        """The value [...] of action [..., action_size] in inputs [..., input_size]."""
         inputs = jnp.concatenate([inputs, action], axis=-1)
         return _perceptron(inputs, self.hidden_layers, 1)[..., 0]
 

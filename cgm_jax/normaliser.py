@@ -17,8 +17,7 @@ GREATEST_RAW_VALUE = 200.0
 GREATEST_NORMALISED_VALUE = 5.0
 
 
-@struct.dataclass
-class Normaliser:
+class Normaliser(struct.PyTreeNode):
     """Statistics of observations and of goals."""
 
     observation: RunningStatisticsState

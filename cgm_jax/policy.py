@@ -72,7 +72,9 @@ def act(
     """
     layers = sum(name.endswith("_kernel") for name in arrays)
     parameters = {
-        f"layer_{i}": {part: jnp.asarray(arrays[f"layer_{i}_{part}"]) for part in ("kernel", "bias")}
+        f"layer_{i}": {
+            part: jnp.asarray(arrays[f"layer_{i}_{part}"]) for part in ("kernel", "bias")
+        }
         for i in range(layers)
     }
     widths = [parameters[f"layer_{i}"]["bias"].shape[-1] for i in range(layers)]

@@ -13,8 +13,7 @@ from cgm_jax.masking import apply_mask, masked_distance
 from cgm_jax.replay import Replay, size
 
 
-@struct.dataclass
-class Transitions:
+class Transitions(struct.PyTreeNode):
     """Transitions as the networks see them: goals are masked, rewards recomputed.
 
     Attributes:

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 
-@struct.dataclass
-class Episodes:
+class Episodes(struct.PyTreeNode):
     """Episodes of T steps; the leading axis is the episode.
 
     Attributes:
@@ -28,8 +27,7 @@ class Episodes:
     mask: jax.Array
 
 
-@struct.dataclass
-class Replay:
+class Replay(struct.PyTreeNode):
     """The ring.
 
     Attributes:

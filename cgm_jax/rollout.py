@@ -16,8 +16,7 @@ Policy = Callable[[jax.Array, jax.Array, Exploration | None], jax.Array]
 """From observations [E, o], masked goals [E, n] and this step's noise to actions [E, a]."""
 
 
-@struct.dataclass
-class Rollout:
+class Rollout(struct.PyTreeNode):
     """Episodes and what became of them.
 
     Attributes:

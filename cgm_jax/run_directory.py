@@ -127,5 +127,5 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, float):
-        return (round(value, 7) if math.isfinite(value) else None)
+        return round(value, 7) if math.isfinite(value) else None
     return value

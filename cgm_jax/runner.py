@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -80,6 +81,7 @@ def _train_epoch(
 ) -> TrainingState:
     remaining = trainer.settings.cycles_per_epoch
     steps_per_cycle = trainer.settings.environments * trainer.env.episode_length
+    runs = len(jax.tree.leaves(hyper)[0])
     while remaining:
         cycles = pace.next_chunk(remaining)
         began = time.monotonic()
@@ -87,11 +89,11 @@ def _train_epoch(
         seconds = time.monotonic() - began
         pace.record(cycles, seconds)
         remaining -= cycles
-        progress.advance(cycles, cycles * steps_per_cycle * len(hyper.seed), seconds)
+        progress.advance(cycles, cycles * steps_per_cycle * runs, seconds)
     return state
 
 
-def _rows(group: Group, epoch: int, wall_s: float, metrics: Metrics) -> list[dict[str, object]]:
+def _rows(group: Group, epoch: int, wall_s: float, metrics: Metrics) -> list[dict[str, Any]]:
     arrays = {name: np.asarray(value) for name, value in metrics.items()}
     return [
         {

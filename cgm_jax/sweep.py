@@ -1,6 +1,5 @@
 """`python -m cgm_jax.sweep`: train a grid of runs in one process."""
 
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from cgm_jax.command_line import (
 )
 from cgm_jax.grid import Group, build_groups
 from cgm_jax.run_directory import RunDirectory
+from cgm_jax.startup import prepare_jax
 
 
 @dataclass(kw_only=True)
@@ -50,7 +50,7 @@ def train_groups(groups: list[Group], options: Any) -> int:
     """Train groups of runs one after another into `options.out`; return the exit code."""
     out = options.out or Path("runs") / f"{options.preset}-{datetime.now():%Y%m%d-%H%M%S}"
     # Everything above needed no JAX; the environments do, to be checked before anything compiles.
-    _use_compilation_cache()
+    prepare_jax()
     from cgm_jax.figures import draw_figures
     from cgm_jax.progress import SweepProgress, summary_lines
     from cgm_jax.runner import fit_into_memory, run_group
@@ -68,14 +68,6 @@ def train_groups(groups: list[Group], options: Any) -> int:
     print("\n".join(summary_lines(list(success.items()))))
     print(f"{time.monotonic() - started:.0f} s; figures in {out / 'figures'}")
     return 0
-
-
-def _use_compilation_cache() -> None:
-    """Keep compiled programs between processes, unless the user has said where or not to."""
-    os.environ.setdefault(
-        "JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "cgm_jax" / "xla")
-    )
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 
 if __name__ == "__main__":

@@ -101,9 +101,7 @@ class Trainer:
     def cycle(self, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
         """Draw masks, roll out, store, and update the networks."""
         key, mask_key, reset_key, noise_key, update_key = jax.random.split(state.key, 5)
-        drawn = sample_masks(
-            mask_key, self.curriculum(state, hyper)[1], self.settings.environments
-        )
+        drawn = sample_masks(mask_key, self.curriculum(state, hyper)[1], self.settings.environments)
         masks = goal_masks(self._sizes[1])[drawn]
         shape = (self.env.episode_length, self.settings.environments, self.env.action_size)
         rollout = roll_out(
@@ -221,7 +219,9 @@ class Trainer:
     def _update_agent(
         self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
     ) -> tuple[Agent, Metrics]:
-        return jax.lax.scan(lambda agent, batch: self.ddpg.update(agent, batch, hyper), agent, batches)
+        return jax.lax.scan(
+            lambda agent, batch: self.ddpg.update(agent, batch, hyper), agent, batches
+        )
 
 
 def _vmap_for_platform(function: Callable[..., Any]) -> Callable[..., Any]:

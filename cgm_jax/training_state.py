@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,18 +27,14 @@ def stack(runs: Sequence[Hyperparameters]) -> Hyperparameters:
     the same length compile to the same program.
     """
     kinds = {int: np.int32, float: np.float32, bool: np.bool_}
-    return Hyperparameters(
-        **{
-            field.name: jnp.asarray(
-                np.array([getattr(run, field.name) for run in runs], kinds[type(field.default)])
-            )
-            for field in dataclasses.fields(Hyperparameters)
-        }
-    )
+    leaves: dict[str, Any] = {}
+    for field in dataclasses.fields(Hyperparameters):
+        values = [getattr(run, field.name) for run in runs]
+        leaves[field.name] = jnp.asarray(np.array(values, kinds[type(field.default)]))
+    return Hyperparameters(**leaves)
 
 
-@struct.dataclass
-class EpochStatistics:
+class EpochStatistics(struct.PyTreeNode):
     """Sums over the training of one epoch.
 
     Attributes:
@@ -55,8 +52,7 @@ class EpochStatistics:
     updates: jax.Array
 
 
-@struct.dataclass
-class TrainingState:
+class TrainingState(struct.PyTreeNode):
     """State of one run; under a sweep every leaf has a leading axis of runs.
 
     Attributes:

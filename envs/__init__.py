@@ -1,16 +1,16 @@
 """Goal-conditioned environments: the Fetch tasks, on interchangeable physics engines.
 
-    make.py              `make("push", engine="auto")`: names to environments
-    goal_environment.py  the protocol that `cgm_jax` trains on; implement it to bring your own
-    fetch.py             the Fetch environment: reset, reset_to, step
-    tasks.py             what distinguishes reach, push and pick_and_place
-    mocap_controller.py  from an action to the pose that drags the arm (inverse kinematics)
-    observations.py      from sensor readings to the Gymnasium-Robotics observation
-    scene.py             the MJCF model, its names resolved to indices once
-    physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
+make.py              `make("push", engine="auto")`: names to environments
+goal_environment.py  the protocol that `cgm_jax` trains on; implement it to bring your own
+fetch.py             the Fetch environment: reset, reset_to, step
+tasks.py             what distinguishes reach, push and pick_and_place
+mocap_controller.py  from an action to the pose that drags the arm (inverse kinematics)
+observations.py      from sensor readings to the Gymnasium-Robotics observation
+scene.py             the MJCF model, its names resolved to indices once
+physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """
 
-from envs import quiet_import as _quiet_import  # noqa: F401, I001 -- before anything of brax
+from envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax
 from envs.goal_environment import GoalEnvironment
 from envs.make import ENGINES, TASKS, make
 

@@ -28,13 +28,19 @@ class GoalEnvironment(Protocol):
     """
 
     @property
-    def action_size(self) -> int: ...
+    def action_size(self) -> int:
+        """Number of action dimensions."""
+        ...
 
     @property
-    def episode_length(self) -> int: ...
+    def episode_length(self) -> int:
+        """Steps per episode, T."""
+        ...
 
     @property
-    def distance_threshold(self) -> float: ...
+    def distance_threshold(self) -> float:
+        """Distance below which a goal is achieved."""
+        ...
 
     def reset(self, rng: jax.Array) -> State:
         """Start an episode with a new initial state and a new goal."""

@@ -39,9 +39,7 @@ def euler_angles(quaternion: jax.Array) -> jax.Array:
     return jnp.stack([roll, pitch, yaw])
 
 
-def fetch_observation(
-    reading: Reading, *, has_object: bool, fingers_blocked: bool
-) -> jax.Array:
+def fetch_observation(reading: Reading, *, has_object: bool, fingers_blocked: bool) -> jax.Array:
     """The observation, [25] with an object and [10] without.
 
     Entries, as in Gymnasium-Robotics: grip position 3, (object position 3, object - grip 3,)

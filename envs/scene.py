@@ -1,5 +1,8 @@
 """The MJCF model of a task, with its names resolved to indices once."""
 
+# mujoco's compiled modules come without stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -17,8 +17,11 @@ from envs.scene import Scene
 CPU_FLAG = "--xla_cpu_use_fusion_emitters=false"
 
 
-@struct.dataclass
-class Motion:
+# What sensors of position and velocity need, without the cost of collision and dynamics.
+SENSOR_STAGES = (mjx.kinematics, mjx.com_pos, mjx.com_vel, mjx.sensor_pos, mjx.sensor_vel)
+
+
+class Motion(struct.PyTreeNode):
     """What MJX carries from step to step; everything else in its Data follows from it."""
 
     positions: jax.Array
@@ -46,10 +49,12 @@ class MjxPhysics:
         self._blank = mjx.make_data(scene.model, impl=implementation)
 
     def start(self, positions: jax.Array) -> PhysicsState:
+        """A simulation at rest at the generalised positions [nq]."""
         data = self._blank.replace(qpos=positions)
         return self._observe(data)
 
     def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
+        """Pursue the target for one control step (0.04 s)."""
         motion: Motion = state.engine_state
         data = self._blank.replace(
             qpos=motion.positions.at[self._blocked].set(0.0),
@@ -69,7 +74,9 @@ class MjxPhysics:
         if self._model.impl == mjx.Impl.WARP:
             data = mjx.forward(self._model, data)
         else:
-            data = mjx.com_vel(self._model, mjx.com_pos(self._model, mjx.kinematics(self._model, data)))
+            data = mjx.com_vel(
+                self._model, mjx.com_pos(self._model, mjx.kinematics(self._model, data))
+            )
             data = mjx.sensor_vel(self._model, mjx.sensor_pos(self._model, data))
         finite = jnp.isfinite(data.qpos).all() & jnp.isfinite(data.qvel).all()
         return PhysicsState(

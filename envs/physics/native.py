@@ -10,6 +10,9 @@ at any number of threads.
 them through JAX arrays, which costs fifteen times as much per call.
 """
 
+# mujoco's compiled modules come without stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import os
 import threading
 from typing import Any
@@ -52,9 +55,11 @@ class NativePhysics:
         self._row_words = WORDS_PER_FLOAT64 * mujoco.mj_stateSize(self._model, integration_state)
 
     def start(self, positions: jax.Array) -> PhysicsState:
+        """A simulation at rest at the generalised positions [nq]."""
         return self._call(self._start, positions)
 
     def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
+        """Pursue the target for one control step (0.04 s)."""
         command = jnp.concatenate(target)
         return self._call(self._advance, state.engine_state, command)
 

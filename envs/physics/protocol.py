@@ -8,8 +8,7 @@ from flax import struct
 from envs.mocap_controller import ControlTarget
 
 
-@struct.dataclass
-class PhysicsState:
+class PhysicsState(struct.PyTreeNode):
     """State of one simulation, a pytree that can be scanned, vmapped and stored.
 
     Attributes:

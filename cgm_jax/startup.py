@@ -1,0 +1,25 @@
+"""What a program does before it imports anything of JAX."""
+
+import os
+from pathlib import Path
+
+OPTIMISATION_LEVEL = "xla_backend_optimization_level"
+"""LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as
+at the default and runs no slower: its time goes into matrix products and physics, which are
+libraries. It has no effect on a GPU.
+"""
+
+
+def prepare_jax() -> None:
+    """Compile fast, keep compiled programs between processes, and keep MJX quiet.
+
+    Variables and flags that the user has set are left alone.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if OPTIMISATION_LEVEL not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --{OPTIMISATION_LEVEL}=1".strip()
+    cache = Path.home() / ".cache" / "cgm_jax" / "xla"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+
+    import envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax

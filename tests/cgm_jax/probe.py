@@ -1,0 +1,66 @@
+"""Environments so small that their values are known."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import State
+
+from cgm_jax.settings import Settings
+
+
+@dataclass(frozen=True)
+class OneStepProbe:
+    """One step, in which the sign of the action becomes the achieved goal.
+
+    The observation is constant and the goal is drawn from `goals`, so that all steps are alike:
+    Q(g, a) = r(g, a) + gamma * max_b Q(g, b).
+    """
+
+    goals: tuple[float, ...]
+    action_size: int = 1
+    episode_length: int = 1
+    distance_threshold: float = 0.05
+
+    def reset(self, rng: jax.Array) -> State:
+        goal = jnp.asarray(self.goals)[jax.random.randint(rng, (1,), 0, len(self.goals))]
+        return self._state(jnp.zeros(1), goal)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self._state(jnp.where(action > 0, 1.0, -1.0), state.obs["desired_goal"])
+
+    def _state(self, achieved_goal: jax.Array, goal: jax.Array) -> State:
+        obs = {"observation": jnp.ones(1), "achieved_goal": achieved_goal, "desired_goal": goal}
+        return State(pipeline_state=None, obs=obs, reward=jnp.zeros(()), done=jnp.zeros(()))
+
+
+@dataclass(frozen=True)
+class FaultyProbe(OneStepProbe):
+    """The probe, with physics that break in about half of the episodes."""
+
+    def reset(self, rng: jax.Array) -> State:
+        state = super().reset(rng)
+        state.metrics["physics_warnings"] = jnp.zeros(())
+        return state.replace(obs={**state.obs, "observation": jax.random.uniform(rng, (1,))})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        broken = state.obs["observation"][0] < 0.5
+        after = super().step(state, action)
+        after.metrics["physics_warnings"] = jnp.where(broken, 1.0, 0.0)
+        return after.replace(
+            obs={**after.obs, "observation": jnp.where(broken, jnp.nan, jnp.ones(1))}
+        )
+
+
+TINY = Settings(
+    env="probe",
+    cycles_per_epoch=2,
+    environments=8,
+    updates_per_cycle=4,
+    batch_size=32,
+    hidden_layers=(16, 16),
+    replay_transitions=1000,
+    evaluation_episodes=10,
+    target_update_every=1,
+)
+"""Static settings that compile in seconds."""

@@ -1,0 +1,187 @@
+"""The programs as a user runs them, each in a process of its own."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SMOKE = ["--preset", "smoke", "--engine", "native"]
+
+
+def run(program: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", f"cgm_jax.{program}", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=cwd,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A smoke sweep over c_g and CGM on and off."""
+    out = tmp_path_factory.mktemp("sweep") / "out"
+    grid = ["--c-g", "0.1", "0.6", "--kappa", "4", "--cgm", "on", "off", "--seeds", "1"]
+    result = run("sweep", *SMOKE, *grid, "--out", str(out))
+    assert result.returncode == 0, result.stderr
+    assert "3 runs of" in result.stderr  # how much memory it takes, said beforehand
+    assert "epoch 2:" in result.stderr
+    return out
+
+
+def test_a_sweep_writes_one_line_per_run_and_epoch(sweep: Path) -> None:
+    rows = [json.loads(line) for line in (sweep / "metrics.jsonl").read_text().splitlines()]
+    assert sorted((row["run"], row["epoch"]) for row in rows) == sorted(
+        (name, epoch)
+        for name in (
+            "reach_her_cgm-cg0.1-kappa4_seed0",
+            "reach_her_cgm-cg0.6-kappa4_seed0",
+            "reach_her_full_seed0",
+        )
+        for epoch in (1, 2)
+    )
+    for row in rows:
+        assert row["env"] == "reach"
+        assert row["seed"] == 0
+        assert row["her"] is True
+        assert row["cgm"] is ("full" not in row["run"])
+        assert row["env_steps"] == row["epoch"] * 2 * 4 * 50
+        assert row["updates"] == row["epoch"] * 2 * 4
+        assert row["wall_s"] > 0
+        assert 0 <= row["success_rate"] <= 1
+        assert len(row["subgoal_success"]) == 3
+        for name in ("mask_rate_estimated", "mask_rate_training", "mask_probability"):
+            assert len(row[name]) == 8
+        assert sum(row["mask_probability"]) == pytest.approx(1, abs=1e-4)
+    full = next(row for row in rows if not row["cgm"])
+    assert full["mask_rate_training"][:7] == [None] * 7
+    first = next(row for row in rows if row["c_g"] == 0.6 and row["cgm"] and row["epoch"] == 1)
+    assert first["mask_rate_estimated"][7] == pytest.approx(0.6, abs=1e-4)
+
+
+def test_a_sweep_writes_its_config_policies_figures_and_checkpoint(sweep: Path) -> None:
+    config = json.loads((sweep / "config.json").read_text())
+    (group,) = config["groups"]
+    assert group["settings"]["env"] == "reach"
+    assert len(group["runs"]) == 3
+    assert config["versions"]["mujoco"] == config["versions"]["mujoco-mjx"] == "3.17.0"
+    for entry in group["runs"]:
+        assert (sweep / "policies" / f"{entry['name']}.npz").is_file()
+    for figure in ("learning_curves", "epochs_to_half", "mask_success"):
+        header = (sweep / "figures" / f"{figure}.png").read_bytes()[:8]
+        assert header == b"\x89PNG\r\n\x1a\n"
+    assert len(list((sweep / "checkpoints").iterdir())) == 1
+
+
+def test_a_directory_that_holds_a_sweep_is_refused_and_left_alone(sweep: Path) -> None:
+    before = (sweep / "metrics.jsonl").read_bytes()
+    result = run("sweep", *SMOKE, "--out", str(sweep))
+    assert result.returncode == 2
+    assert "already holds a sweep" in result.stderr
+    assert (sweep / "metrics.jsonl").read_bytes() == before
+
+
+def test_evaluate_reports_success_with_its_interval(sweep: Path) -> None:
+    result = run("evaluate", str(sweep), "--episodes", "50")
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert len(lines) == 3
+    assert all("95 %:" in line and "50 episodes" in line for line in lines)
+    again = run("evaluate", str(sweep), "--episodes", "50")
+    assert again.stdout == result.stdout
+
+
+def test_evaluate_refuses_damaged_policies(sweep: Path) -> None:
+    path = next((sweep / "policies").iterdir())
+    intact = path.read_bytes()
+    try:
+        path.write_bytes(intact[: len(intact) // 2])
+        result = run("evaluate", str(sweep))
+        assert result.returncode == 2
+        assert path.name in result.stderr
+        np.savez(path, something=np.zeros(3))
+        result = run("evaluate", str(sweep))
+        assert result.returncode == 2
+        assert "not a policy file" in result.stderr
+    finally:
+        path.write_bytes(intact)
+
+
+def test_train_learns_on_an_environment_from_the_users_own_file(tmp_path: Path) -> None:
+    settings = ["--epochs", "3", "--cycles-per-epoch", "20", "--environments", "16"]
+    settings += ["--updates-per-cycle", "40", "--batch-size", "128", "--hidden-layers", "64", "64"]
+    settings += ["--target-update-every", "1", "--replay-transitions", "50000"]
+    settings += ["--evaluation-episodes", "50"]
+    example = ROOT / "tests" / "examples" / "point_mass.py"
+    result = run(
+        "train",
+        *("--preset", "smoke", "--env", f"{example}:PointMass", "--out", "out", *settings),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    last = json.loads((tmp_path / "out" / "metrics.jsonl").read_text().splitlines()[-1])
+    assert last["success_rate"] >= 0.9
+    assert len(last["mask_probability"]) == 4
+
+
+BAD_INPUT = {
+    "--env slide": "env: unknown environment 'slide'",
+    "--env nowhere.py:Thing": "env: 'nowhere.py:Thing'",
+    "--engine bullet": "engine: unknown engine 'bullet'",
+    "--c-g": "c_g: needs at least one value",
+    "--c-g 1.5": "c_g: 1.5 is not within [0, 1]",
+    "--c-g tiny": "--c-g",
+    "--kappa nan": "kappa: nan is not a finite number",
+    "--seeds 0": "seeds: 0 is not within",
+    "--seeds 2 --seed 1": "seeds: give either",
+    "--batch-size 32 64": "batch_size: is static",
+    "--hidden-layers 32 --batch-size 32 64": "batch_size: is static",
+    "--colour red": "--colour",
+    "--preset huge": "--preset",
+    "--her maybe": "--her",
+    "--out /proc/nowhere": "out: cannot write to /proc/nowhere",
+}
+
+
+@pytest.mark.parametrize("arguments", BAD_INPUT)
+def test_bad_input_ends_with_one_line_and_code_two_before_anything_compiles(
+    arguments: str, tmp_path: Path
+) -> None:
+    started = time.monotonic()
+    options = arguments.split()
+    if "--preset" not in options:
+        options = [*SMOKE[:2], *options]
+    if "--out" not in options:
+        options += ["--out", str(tmp_path / "out")]
+    result = run("sweep", *options)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert BAD_INPUT[arguments] in line
+    assert not (tmp_path / "out").exists()
+    assert time.monotonic() - started < 30
+
+
+def test_train_refuses_a_grid() -> None:
+    result = run("train", "--c-g", "0.1", "0.2")
+    assert result.returncode == 2
+    assert result.stderr.splitlines() == [
+        "error: c_g: takes one value here; cgm_jax.sweep takes several"
+    ]
+
+
+def test_settings_are_checked_without_importing_jax() -> None:
+    program = (
+        "import sys; from cgm_jax.sweep import SweepOptions; from cgm_jax.train import main;"
+        "assert 'jax' not in sys.modules"
+    )
+    result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False)
+    assert result.returncode == 0

@@ -1,0 +1,107 @@
+import dataclasses
+from typing import Any
+
+import pytest
+
+from cgm_jax.grid import STATIC, build_groups, split
+from cgm_jax.presets import PRESETS
+from cgm_jax.settings import Hyperparameters, SettingError, check
+
+
+def names(options: dict[str, list[Any]]) -> list[str]:
+    (group,) = build_groups("smoke", options)
+    return [run.name for run in group.runs]
+
+
+def test_a_grid_is_the_product_of_its_axes() -> None:
+    (group,) = build_groups("quick", {"c_g": [0.0, 0.1, 0.4], "kappa": [4.0, 32.0], "seed": [0, 1]})
+    values = [(run.hyper.c_g, run.hyper.kappa, run.hyper.seed) for run in group.runs]
+    assert len(values) == len(set(values)) == 12
+    assert len({run.name for run in group.runs}) == 12
+    assert (0.4, 4.0, 1) in values
+
+
+def test_runs_that_differ_only_in_what_has_no_effect_are_trained_once() -> None:
+    both = names({"cgm": [True, False], "c_g": [0.1, 0.4], "kappa": [32.0]})
+    assert both == [
+        "reach_her_cgm-cg0.1-kappa32_seed0",
+        "reach_her_full_seed0",
+        "reach_her_cgm-cg0.4-kappa32_seed0",
+    ]
+    no_her = names({"her": [False], "her_k": [4.0, 6.0], "kappa": [32.0]})
+    assert no_her == ["reach_ddpg_cgm-cg0.1-kappa32_seed0"]
+
+
+def test_every_traced_setting_can_be_an_axis_and_names_its_runs() -> None:
+    for item in dataclasses.fields(Hyperparameters):
+        low = {"discount": 0.5}.get(item.name, 0)
+        values = (
+            [True, False]
+            if isinstance(item.default, bool)
+            else [low, type(item.default)(1) / 2 if item.type is float else 1]
+        )
+        assert len(names({"kappa": [32.0], item.name: values})) == 2, item.name
+
+
+@pytest.mark.parametrize("name", [name for name in STATIC if name != "env"])
+def test_every_static_setting_refuses_to_be_an_axis_by_name(name: str) -> None:
+    with pytest.raises(SettingError, match=f"^{name}: is static"):
+        build_groups("smoke", {name: [1, 2]})
+
+
+def test_environments_become_groups_with_the_papers_settings_for_each() -> None:
+    push, pick = build_groups("paper", {})
+    assert (push.settings.env, push.settings.environments, push.settings.batch_size) == (
+        "push",
+        16,
+        1024,
+    )
+    assert (pick.settings.env, pick.settings.environments, pick.settings.batch_size) == (
+        "pick_and_place",
+        64,
+        4096,
+    )
+    for group in (push, pick):
+        points = {(run.hyper.c_g, run.hyper.kappa, run.hyper.her) for run in group.runs}
+        assert len(points) == 18 * 2
+        assert len(group.runs) == 18 * 2 * 5
+    assert push.settings.env_steps_per_epoch(50) == 51_200
+    assert pick.settings.env_steps_per_epoch(50) == 204_800
+
+
+@pytest.mark.parametrize(
+    ("largest", "sizes"), [(7, [7]), (6, [4, 3]), (3, [3, 2, 2]), (1, [1] * 7)]
+)
+def test_groups_split_evenly_and_lose_no_run(largest: int, sizes: list[int]) -> None:
+    (group,) = build_groups("smoke", {"seed": list(range(7)), "kappa": [1.0]})
+    parts = split(group, largest)
+    assert [len(part.runs) for part in parts] == sizes
+    assert [run for part in parts for run in part.runs] == list(group.runs)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"c_g": [1.5]}, "c_g: 1.5 is not within"),
+        ({"c_g": [-0.1]}, "c_g: -0.1 is not within"),
+        ({"kappa": [float("nan")]}, "kappa: nan is not a finite number"),
+        ({"kappa": [float("inf")]}, "kappa: inf is not a finite number"),
+        ({"c_g": []}, "c_g: needs at least one value"),
+        ({"c_g": [0.1, 0.1]}, "c_g: holds a value twice"),
+        ({"batch_size": [0]}, "batch_size: 0 is not within"),
+        ({"hidden_layers": [()]}, "hidden_layers: needs at least one value"),
+        ({"hidden_layers": [(64, 0)]}, "hidden_layers: 0 is not within"),
+        ({"seed": [-1]}, "seed: -1 is not within"),
+        ({"env": []}, "env: needs at least one value"),
+    ],
+)
+def test_bad_values_are_refused_by_name(options: dict[str, list[Any]], message: str) -> None:
+    with pytest.raises(SettingError, match=message):
+        build_groups("smoke", options)
+
+
+def test_presets_name_only_settings_and_their_values_are_valid() -> None:
+    for preset in PRESETS:
+        for group in build_groups(preset, {}):
+            for run in group.runs:
+                check(run.hyper)

@@ -1,0 +1,164 @@
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cgm_jax.grid import Run
+from cgm_jax.programs import compilations, make_programs, stack_runs
+from cgm_jax.settings import Hyperparameters
+from cgm_jax.training import Metrics, Trainer
+from cgm_jax.training_state import TrainingState, stack
+from tests.cgm_jax.probe import TINY, FaultyProbe
+from tests.examples.point_mass import PointMass
+
+TRAINER = Trainer(PointMass(), TINY)
+PROGRAMS = make_programs(TRAINER)
+
+
+@functools.cache
+def compiled(trainer: Trainer) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Jitted once, so that tests with the same number of runs share a compilation."""
+    return jax.jit(jax.vmap(trainer.initial_state)), jax.jit(jax.vmap(trainer.epoch))
+
+
+def epochs(
+    runs: list[Hyperparameters], count: int = 2, trainer: Trainer = TRAINER
+) -> tuple[TrainingState, list[Metrics]]:
+    """Train runs side by side; every leaf of the result has a leading axis of runs."""
+    start, epoch = compiled(trainer)
+    hyper, history = stack(runs), []
+    state = start(hyper)
+    for _ in range(count):
+        state, metrics = epoch(state, hyper)
+        history.append(metrics)
+    return state, history
+
+
+def bits(tree: Any) -> list[np.ndarray]:
+    leaves = [
+        jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf
+        for leaf in jax.tree.leaves(tree)
+    ]
+    return [np.asarray(leaf) for leaf in leaves]
+
+
+def test_the_same_seed_repeats_bit_for_bit_and_another_differs() -> None:
+    state, _ = epochs([Hyperparameters(seed=3), Hyperparameters(seed=3), Hyperparameters(seed=4)])
+    again, _ = epochs([Hyperparameters(seed=3), Hyperparameters(seed=3), Hyperparameters(seed=4)])
+    for leaf, repeated in zip(bits(state), bits(again), strict=True):
+        np.testing.assert_array_equal(leaf, repeated)
+        np.testing.assert_array_equal(leaf[0], leaf[1])
+    for part in (state.agent.actor, state.replay.episodes, state.normaliser.goal.mean):
+        assert any((leaf[0] != leaf[2]).any() for leaf in bits(part))
+
+
+def test_a_run_among_others_equals_the_run_alone() -> None:
+    runs = [
+        Hyperparameters(seed=0, c_g=0.8, kappa=1.0),
+        Hyperparameters(seed=1, c_g=0.1, kappa=32.0),
+        Hyperparameters(seed=2, cgm=False, her=False, action_noise=0.5),
+    ]
+    together, together_metrics = epochs(runs)
+    for i, run in enumerate(runs):
+        alone, alone_metrics = epochs([run])
+        for leaf, single in zip(bits(together), bits(alone), strict=True):
+            # Matrix products of another shape may round otherwise; nothing else differs.
+            np.testing.assert_allclose(leaf[i], single[0], rtol=2e-4, atol=2e-5)
+        for one, other in zip(together_metrics, alone_metrics, strict=True):
+            np.testing.assert_allclose(
+                one["mask_probability"][i], other["mask_probability"][0], rtol=1e-4
+            )
+
+
+def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
+    base = Hyperparameters(c_g=0.4, kappa=1.0)
+    changes: dict[str, Any] = {
+        "c_g": 0.9,
+        "kappa": 30.0,
+        "cgm": False,
+        "her": False,
+        "her_k": 1.0,
+        "actor_learning_rate": 1e-4,
+        "critic_learning_rate": 1e-4,
+        "discount": 0.5,
+        "target_rate": 0.5,
+        "action_penalty": 0.0,
+        "action_noise": 0.0,
+        "random_action_probability": 0.9,
+        "seed": 1,
+    }
+    assert set(changes) == {field.name for field in dataclasses.fields(Hyperparameters)}
+    runs = [base] + [dataclasses.replace(base, **{name: value}) for name, value in changes.items()]
+    state, _ = epochs(runs, count=1)
+    actors = bits(state.agent.actor)
+    for i, name in enumerate(changes, start=1):
+        assert any((leaf[i] != leaf[0]).any() for leaf in actors), name
+
+
+def test_sampled_goals_change_after_every_reset() -> None:
+    state, _ = epochs([Hyperparameters(seed=i) for i in range(3)])
+    goals = np.asarray(state.replay.episodes.desired_goal[0, : int(state.replay.inserted[0])])
+    assert len(goals) == 2 * TINY.cycles_per_epoch * TINY.environments
+    assert len(np.unique(goals, axis=0)) == len(goals)
+
+
+def test_training_compiles_once_however_it_is_cut_into_chunks() -> None:
+    programs = PROGRAMS
+    for values in ((0.1, 0.2), (0.6, 0.9)):
+        hyper = stack_runs([Run(str(c_g), Hyperparameters(c_g=c_g)) for c_g in values])
+        state = programs.start(hyper)
+        for _ in range(2):
+            for cycles in (1, 3, 2):
+                state = programs.train(state, hyper, cycles)
+            state, _ = programs.evaluate(state, hyper)
+        # Start, train and evaluate, whatever the values and the number of cycles.
+    assert compilations(programs) == 3
+
+
+def test_chunks_give_the_bits_of_one_epoch() -> None:
+    programs = PROGRAMS
+    hyper = stack([Hyperparameters(seed=5)] * 2)
+    whole = programs.train(programs.start(hyper), hyper, 4)
+    cut = programs.start(hyper)
+    for cycles in (1, 2, 1):
+        cut = programs.train(cut, hyper, cycles)
+    for leaf, other in zip(bits(whole), bits(cut), strict=True):
+        np.testing.assert_array_equal(leaf, other)
+
+
+def test_metrics_count_steps_updates_and_masks() -> None:
+    runs = [Hyperparameters(c_g=0.5, kappa=0.0), Hyperparameters(cgm=False), Hyperparameters()]
+    state, history = epochs(runs)
+    metrics = history[-1]
+    np.testing.assert_array_equal(metrics["env_steps"], 2 * 2 * 8 * 25)
+    np.testing.assert_array_equal(metrics["updates"], 2 * 2 * 4)
+    np.testing.assert_allclose(metrics["mask_probability"][:2], [[0.25] * 4, [0, 0, 0, 1]])
+    # Without CGM only the full goal was sampled; 0 / 0 marks the others.
+    assert np.isnan(metrics["mask_rate_training"][1]).tolist() == [True, True, True, False]
+    masks = np.asarray(state.replay.episodes.mask[1, : int(state.replay.inserted[1])])
+    np.testing.assert_array_equal(masks, 1.0)
+    assert np.asarray(state.replay.episodes.mask[0]).min() == 0.0
+
+
+def test_the_curriculum_follows_the_sub_goal_history() -> None:
+    state, history = epochs([Hyperparameters(c_g=0.3)], count=1)
+    np.testing.assert_allclose(history[0]["mask_rate_estimated"][0, -1], 0.3, rtol=1e-5)
+    successes = np.asarray(state.history.successes[0])
+    rates, _ = TRAINER.curriculum(jax.tree.map(lambda leaf: leaf[0], state), Hyperparameters())
+    expected = [1.0, successes[:, 1].mean(), successes[:, 0].mean(), successes.mean(0).prod()]
+    np.testing.assert_allclose(rates, expected, rtol=1e-5)
+
+
+def test_episodes_with_broken_physics_are_dropped_and_counted() -> None:
+    settings = dataclasses.replace(TINY, environments=16)
+    trainer = Trainer(FaultyProbe((1.0, -1.0)), settings)
+    state, history = epochs([Hyperparameters()], count=1, trainer=trainer)
+    dropped, kept = float(history[0]["physics_warnings"][0]), int(state.replay.inserted[0])
+    assert 0 < kept < 32
+    assert dropped > 32 - kept  # evaluation episodes count as well
+    for leaf in bits(state):
+        assert np.isfinite(leaf).all()

@@ -1,0 +1,206 @@
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import envs
+from envs.fetch import FetchEnvironment
+from envs.mocap_controller import ControlTarget
+from envs.physics.native import NativePhysics
+
+GRIP_HOME = {
+    "push": (1.3455, 0.7490, 0.4136),
+    "pick_and_place": (1.3419, 0.7491, 0.5347),
+    "reach": (1.3419, 0.7491, 0.5347),
+}
+
+
+@pytest.fixture(scope="module", params=["reach", "push", "pick_and_place"])
+def env(request: pytest.FixtureRequest) -> FetchEnvironment:
+    return envs.make(request.param, engine="native")
+
+
+def test_reset_puts_the_grip_where_gymnasium_robotics_does(env: FetchEnvironment) -> None:
+    name = next(name for name, task in envs.TASKS.items() if task is env.task)
+    state = jax.jit(env.reset_to)(jnp.array([1.25, 0.6]), jnp.array([1.3, 0.7, 0.5]))
+    np.testing.assert_allclose(state.obs["observation"][:3], GRIP_HOME[name], atol=2e-4)
+    np.testing.assert_allclose(state.obs["desired_goal"], [1.3, 0.7, 0.5])
+    if env.task.has_object:
+        np.testing.assert_allclose(state.obs["achieved_goal"], [1.25, 0.6, 0.4247], atol=1e-4)
+    else:
+        np.testing.assert_array_equal(state.obs["achieved_goal"], state.obs["observation"][:3])
+
+
+def test_starts_and_goals_follow_the_rules(env: FetchEnvironment) -> None:
+    keys = jax.random.split(jax.random.key(0), 4000)
+    grip = env.scene.grip_home
+    objects = np.asarray(jax.vmap(env.sample_object)(keys)) - grip[:2]
+    distance = np.linalg.norm(objects, axis=1)
+    assert np.abs(objects).max() <= 0.15 + 1e-6
+    assert distance.min() >= 0.1 - 1e-6
+    # Uniform on the square less the disc: compare the share beyond 0.15 m with its area.
+    area, disc = 0.3**2, np.pi * 0.1**2
+    beyond = (area - np.pi * 0.15**2) / (area - disc)
+    assert np.mean(distance > 0.15) == pytest.approx(beyond, abs=0.03)
+    np.testing.assert_allclose(objects.mean(axis=0), 0.0, atol=0.006)
+
+    goals = np.asarray(jax.vmap(env.sample_goal)(keys)) - grip
+    assert len(np.unique(goals, axis=0)) == len(keys)
+    assert np.abs(goals[:, :2]).max() <= 0.15 + 1e-6
+    np.testing.assert_allclose(goals[:, :2].std(axis=0), 0.15 / np.sqrt(3), rtol=0.05)
+    height = goals[:, 2] + grip[2]
+    if env.scene.object_home is None:
+        assert np.abs(goals[:, 2]).max() <= 0.15 + 1e-6
+    elif env.task.air_probability == 0:
+        np.testing.assert_allclose(height, env.scene.object_home[2], atol=1e-6)
+    else:
+        height = height - env.scene.object_home[2]
+        assert height.min() >= -1e-6
+        assert height.max() <= 0.45 + 1e-6
+        assert height.mean() == pytest.approx(0.225, abs=0.01)
+
+
+def test_air_probability_is_the_share_of_goals_above_the_table() -> None:
+    env = envs.make("pick_and_place", engine="native", air_probability=0.25)
+    goals = jax.vmap(env.sample_goal)(jax.random.split(jax.random.key(1), 4000))
+    assert np.mean(np.asarray(goals)[:, 2] > 0.4248) == pytest.approx(0.25, abs=0.03)
+
+
+def test_a_full_action_moves_the_grip_by_about_three_centimetres(env: FetchEnvironment) -> None:
+    step = jax.jit(env.step)
+    state = env.reset_to(jnp.array([1.25, 0.6]), jnp.zeros(3))
+    state = step(state, jnp.array([0.0, 0.0, 1.0, 0.0]))  # clear of the table
+    for axis, sign in ((0, 1), (1, -1), (2, 1)):
+        action = np.zeros(4, np.float32)
+        action[axis] = sign
+        for _ in range(3):
+            before, state = state, step(state, jnp.asarray(action))
+        moved = np.asarray(state.obs["observation"][:3] - before.obs["observation"][:3])
+        assert moved[axis] * sign == pytest.approx(0.032, abs=0.003)
+        assert np.abs(np.delete(moved, axis)).max() < 0.004
+
+
+def test_success_and_reward_are_those_of_the_threshold() -> None:
+    env = envs.make("push", engine="native")
+    resting = env.reset_to(jnp.array([1.25, 0.6]), jnp.array([1.25, 0.649, 0.4247]))
+    assert float(resting.reward) == 0.0
+    assert float(resting.metrics["success"]) == 1.0
+    away = env.reset_to(jnp.array([1.25, 0.6]), jnp.array([1.25, 0.651, 0.4247]))
+    assert float(away.reward) == -1.0
+
+
+def scripted_push(observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Get behind the object, seen from the goal, then drive towards the goal."""
+    grip, block = observation[:3], observation[3:6]
+    way = (goal - block)[:2] / (np.linalg.norm((goal - block)[:2]) + 1e-6)
+    behind = block[:2] - 0.07 * way
+    off_line = np.linalg.norm(grip[:2] - behind)
+    action = np.zeros(4)
+    if np.dot(grip[:2] - block[:2], way) > -0.05 or off_line > 0.05:
+        action[:2] = 15 * (behind - grip[:2])
+        action[2] = 15 * ((0.5 if off_line > 0.03 else 0.42) - grip[2])
+    else:
+        action[:2] = 10 * (goal - block)[:2] + 5 * (behind - grip[:2])
+        action[2] = 15 * (0.42 - grip[2])
+    return np.clip(action, -1, 1)
+
+
+def test_the_block_can_be_pushed_to_the_goal() -> None:
+    env = envs.make("push", engine="native")
+    step = jax.jit(jax.vmap(env.step))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(3), 20))
+    for _ in range(env.episode_length):
+        observation, goal = (np.asarray(state.obs[k]) for k in ("observation", "desired_goal"))
+        actions = [scripted_push(o, g) for o, g in zip(observation, goal, strict=True)]
+        state = step(state, jnp.asarray(np.array(actions), jnp.float32))
+    assert np.mean(state.metrics["success"]) >= 0.7
+    assert np.sum(state.metrics["physics_warnings"]) == 0
+
+
+def rolled(env: FetchEnvironment, actions: jax.Array) -> jax.Array:
+    """Observations [T + 1, E, o] under actions [T, E, 4], from one set of resets."""
+    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(7), actions.shape[1]))
+
+    def step(state, action):  # noqa: ANN001, ANN202
+        state = jax.vmap(env.step)(state, action)
+        return state, state.obs["observation"]
+
+    first = state.obs["observation"]
+    return jnp.concatenate([first[None], jax.lax.scan(step, state, actions)[1]])
+
+
+def test_native_has_the_same_bits_at_any_number_of_threads_and_in_any_company() -> None:
+    env = envs.make("pick_and_place", engine="native")
+    actions = jax.random.uniform(jax.random.key(2), (20, 8, 4), minval=-1.0, maxval=1.0)
+    reference = None
+    for threads in (1, 2, 5):
+        one = FetchEnvironment(env.task, env.scene, NativePhysics(env.scene, threads), 1.0)
+        observations = np.asarray(jax.jit(lambda a, one=one: rolled(one, a))(actions))
+        reference = observations if reference is None else reference
+        np.testing.assert_array_equal(observations, reference)
+    doubled = jax.jit(jax.vmap(lambda a: rolled(env, a)))(jnp.stack([actions, actions]))
+    np.testing.assert_array_equal(doubled[0], reference)
+    np.testing.assert_array_equal(doubled[1], reference)
+
+
+def test_native_state_survives_the_journey_through_jax_exactly() -> None:
+    """Control steps through JAX give the float64 bits of the same steps in plain MuJoCo."""
+    env = envs.make("push", engine="native")
+    state = env.reset_to(jnp.array([1.25, 0.6]), jnp.zeros(3))
+    model, data = env.scene.model, mujoco.MjData(env.scene.model)
+    data.qpos[:] = env.scene.home.astype(np.float32)
+    data.qpos[env.scene.object_address : env.scene.object_address + 2] = np.float32([1.25, 0.6])
+    target = ControlTarget(jnp.array([1.4, 0.7, 0.5]), jnp.array([1.0, 0, 1, 0]), jnp.zeros(2))
+    data.mocap_pos[0], data.mocap_quat[0] = target.mocap_position, target.mocap_orientation
+    physics_state, advance = state.pipeline_state, jax.jit(env.physics.advance)
+    for _ in range(5):
+        physics_state = advance(physics_state, target)
+        data.qpos[list(env.scene.blocked_addresses)] = 0.0
+        mujoco.mj_step(model, data, nstep=env.scene.substeps)
+    row = np.asarray(physics_state.engine_state).view(np.float64)
+    np.testing.assert_array_equal(row[1 : 1 + model.nq], data.qpos)
+    np.testing.assert_array_equal(row[1 + model.nq : 1 + model.nq + model.nv], data.qvel)
+    assert (data.qpos != data.qpos.astype(np.float32)).any()  # float32 would have lost bits
+
+
+def test_one_batch_call_per_control_step_serves_all_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = envs.make("reach", engine="native")
+    calls: list[int] = []
+    advance = NativePhysics._advance
+
+    def counted(self: NativePhysics, context: object, outputs: object, *arguments: object) -> None:
+        calls.append(np.asarray(arguments[0]).reshape(-1, self._row_words).shape[0])
+        advance(self, context, outputs, *arguments)
+
+    monkeypatch.setattr(NativePhysics, "_advance", counted)
+    actions = jnp.zeros((3, 5, 4, 4))  # three runs, five steps, four environments
+    jax.block_until_ready(jax.jit(jax.vmap(lambda a: rolled(env, a)))(actions))
+    assert calls == [12] * 5
+
+
+def test_broken_physics_is_reported() -> None:
+    env = envs.make("push", engine="native")
+    state = env.reset_to(jnp.array([1.25, 0.6]), jnp.zeros(3))
+    row = np.asarray(state.pipeline_state.engine_state).view(np.float64).copy()
+    row[1] = np.nan  # the first joint's position follows the time
+    broken = state.pipeline_state.replace(engine_state=jnp.asarray(row.view(np.uint32)))
+    after = env.step(state.replace(pipeline_state=broken), jnp.zeros(4))
+    assert float(after.metrics["physics_warnings"]) > 0
+    healthy = env.step(state, jnp.zeros(4))
+    assert float(healthy.metrics["physics_warnings"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "slide"}, "env: unknown environment 'slide'"),
+        ({"name": "push", "engine": "bullet"}, "engine: unknown engine 'bullet'"),
+        ({"name": "push", "air_probability": 1.5}, "air_probability: 1.5"),
+        ({"name": "push", "colour": "red"}, "colour: no such field"),
+        ({"name": "push", "episode_length": 0}, "episode_length: 0"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        envs.make(**{"engine": "native", **arguments})  # pyright: ignore[reportArgumentType]
