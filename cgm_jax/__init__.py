@@ -17,7 +17,7 @@ The loop that puts them together, as pure functions over one state:
 Around it, on the host:
 
     settings.py         every setting, its default, and whether a sweep may vary it
-    presets.py          smoke, quick, paper
+    presets.py          smoke, quick, cpu, paper
     grid.py             from lists of values to runs, and from runs to groups that fit in memory
     sweep.py            `python -m cgm_jax.sweep`; train.py: a sweep of one; evaluate.py
     run_directory.py    config.json, metrics.jsonl, policies, figures, checkpoints

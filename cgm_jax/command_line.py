@@ -21,7 +21,7 @@ BAD_INPUT = 2
 """Exit code for input that is refused."""
 
 Options = TypeVar("Options")
-Preset = Literal["smoke", "quick", "paper"]
+Preset = Literal["smoke", "quick", "cpu", "paper"]
 Switch = Literal["on", "off"]
 
 

@@ -10,7 +10,9 @@ DIR/checkpoints/          the whole training state of each group
 import importlib.metadata
 import json
 import math
+import os
 import platform
+import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -77,7 +79,8 @@ class RunDirectory:
             ],
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
             "python": platform.python_version(),
-            "platform": platform.platform(),
+            "commit": _commit(),
+            "machine": f"{platform.platform()}, {os.cpu_count()} cores",
         }
         (self.path / CONFIG).write_text(json.dumps(config, indent=2) + "\n")
 
@@ -116,6 +119,24 @@ class RunDirectory:
         partial = path.with_suffix(".partial.npz")
         np.savez(partial, **arrays)  # pyright: ignore[reportArgumentType]
         partial.replace(path)
+
+
+def _commit() -> str | None:
+    """The commit of this checkout, marked if it has changes; None in an installed wheel."""
+    git = [
+        "git",
+        "-C",
+        str(Path(__file__).parent),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=12",
+    ]
+    try:
+        result = subprocess.run(git, capture_output=True, text=True, check=False)
+    except OSError:
+        return None
+    return result.stdout.strip() or None
 
 
 def _plain(value: Any) -> Any:
