@@ -44,18 +44,30 @@ def draw_figures(directory: RunDirectory) -> list[Path]:
 
 
 def learning_curves(rows: Rows) -> Figure:
-    """Success rate over env_steps, a panel per environment, a line per setting."""
-    by_env = _grouped(rows, lambda row: row["env"])
-    figure, panels = _panels(len(by_env), width=6.4, height=4.2)
-    for panel, (env, env_rows) in zip(panels, by_env.items(), strict=True):
-        for label, same in _grouped(env_rows, _setting_label).items():
-            steps, curves = _curves(same, "success_rate")
-            _draw_quartiles(panel, steps, curves, label)
+    """Success rate over env_steps, a line per c_g; a panel per environment, HER and kappa.
+
+    The runs without CGM, which have no kappa, appear in every panel in black.
+    """
+    groups = _grouped(rows, lambda row: (row["env"], row["her"], row["cgm"] and row["kappa"]))
+    plain = {key[:2]: same for key, same in groups.items() if not key[2]}
+    masked = {key: same for key, same in groups.items() if key[2]} or groups
+    figure, panels = _panels(len(masked), width=5.0, height=4.0, columns=3)
+    for panel, ((env, her, kappa), same) in zip(panels, sorted(masked.items()), strict=True):
+        title = f"{_title(env)}, {'DDPG + HER' if her else 'DDPG'}"
+        if kappa:
+            title += f", $\\kappa$ = {kappa:g}"
+        if kappa and (env, her) in plain:
+            curves = _curves(plain[env, her], "success_rate")
+            _draw_quartiles(panel, *curves, "no CGM", "black")
+        lines = sorted(_grouped(same, _line_label).items())
+        colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, len(lines)))
+        for (label, runs), colour in zip(lines, colours, strict=True):
+            _draw_quartiles(panel, *_curves(runs, "success_rate"), label, colour)
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
-        panel.set_title(_title(env))
+        panel.set_title(title)
         _label_steps(panel)
         _label_success(panel, "success rate, full goal")
-        panel.legend(fontsize=8, loc="upper left", framealpha=0.7)
+        panel.legend(fontsize=8, loc="lower right", framealpha=0.7)
     return figure
 
 
@@ -68,6 +80,10 @@ def epochs_to_half(rows: Rows) -> Figure:
         last = max(row["epoch"] for row in same)
         for kappa, kappa_rows in sorted(_grouped(same, lambda row: row["kappa"]).items()):
             _draw_epochs_over_rate(panel, kappa, kappa_rows, last)
+        plain = [r for r in rows if not r["cgm"] and (r["env"], r["her"]) == (env, her)]
+        if plain and same[0]["cgm"]:
+            median = np.minimum(_epochs_to_half(plain)[1], last)
+            panel.axhline(median, color="black", linestyle="-.", label="no CGM")
         panel.axhline(last, color="grey", linewidth=0.8, linestyle=":")
         panel.annotate(
             f"not within {last} epochs (open)",
@@ -111,10 +127,7 @@ def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> 
     """One line: quartiles over runs, at each c_g, of the epoch that first reaches 50 %."""
     points = []
     for c_g, same in sorted(_grouped(rows, lambda row: row["c_g"]).items()):
-        reached = [first_to_reach(run, 0.5) for run in _grouped(same, lambda r: r["run"]).values()]
-        epochs = [row["epoch"] if row else np.inf for row in reached]
-        # A quartile between a reached and an unreached run is unreached.
-        quartiles = np.percentile(epochs, QUARTILES, method="higher")
+        quartiles = _epochs_to_half(same)
         points.append((100 * c_g, *np.minimum(quartiles, last), np.isinf(quartiles[1])))
     rates, low, median, high, unreached = np.array(points).T
     unreached = unreached.astype(bool)
@@ -125,6 +138,16 @@ def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> 
     if len(rows) > len({(row["c_g"], row["epoch"]) for row in rows}):
         panel.plot(rates, low, linestyle="--", linewidth=0.8, color=colour)
         panel.plot(rates, high, linestyle="--", linewidth=0.8, color=colour)
+
+
+def _epochs_to_half(rows: Rows) -> np.ndarray:
+    """Quartiles over runs of the first epoch at 50 %; infinite where it was not reached.
+
+    A quartile between a reached and an unreached run is unreached.
+    """
+    reached = [first_to_reach(run, 0.5) for run in _grouped(rows, lambda r: r["run"]).values()]
+    epochs = [row["epoch"] if row else np.inf for row in reached]
+    return np.percentile(epochs, QUARTILES, method="higher")
 
 
 def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
@@ -179,13 +202,23 @@ def _grouped(rows: Rows, key: Any) -> dict[Any, Rows]:
 
 
 def _setting_label(row: dict[str, Any]) -> str:
-    """What the seeds of one setting have in common, for a legend."""
+    """What the seeds of one setting have in common, for a title."""
     algorithm = "HER" if row["her"] else "DDPG"
     if not row["cgm"]:
-        return f"{algorithm}, no CGM"
-    label = f"{algorithm} + CGM, $c_g$ = {100 * row['c_g']:g} %, $\\kappa$ = {row['kappa']:g}"
-    others = [p for p in row["run"].split("_cgm-")[-1].split("_")[1:] if "seed" not in p]
-    return ", ".join([label, *others])
+        return ", ".join([f"{algorithm}, no CGM", *_other_axes(row)])
+    return f"{algorithm} + CGM, {_line_label(row)}, $\\kappa$ = {row['kappa']:g}"
+
+
+def _line_label(row: dict[str, Any]) -> str:
+    """What tells a line of a panel from the others."""
+    first = f"$c_g$ = {100 * row['c_g']:g} %" if row["cgm"] else "no CGM"
+    return ", ".join([first, *_other_axes(row)])
+
+
+def _other_axes(row: dict[str, Any]) -> list[str]:
+    """Further swept settings, as the run's name has them."""
+    parts = row["run"].removeprefix(row["env"]).split("_")
+    return [part for part in parts[2:] if not part.startswith(("seed", "cgm-", "full"))]
 
 
 def _panels(count: int, width: float, height: float, columns: int = 2) -> tuple[Figure, list[Axes]]:

@@ -1,5 +1,9 @@
 """Environments so small that their values are known."""
 
+# Brax types the parts of its State as unknown.
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+# pyright: reportGeneralTypeIssues=false
+
 from dataclasses import dataclass
 
 import jax

@@ -68,7 +68,7 @@ def test_probabilities_match_the_oracle_at_every_corner(n: int) -> None:
         )
         assert np.isfinite(drawn).all()
         np.testing.assert_allclose(drawn.sum(axis=1), 1.0, atol=1e-5)
-        expected = [oracle_probabilities(rates, np.float32(c), k) for c, k in CORNERS]
+        expected = [oracle_probabilities(rates, float(np.float32(c)), k) for c, k in CORNERS]
         np.testing.assert_allclose(drawn, expected, atol=2e-4)
 
 

@@ -1,3 +1,5 @@
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +19,8 @@ def episodes(generator: np.random.Generator, count: int) -> Episodes:
 
 def test_statistics_match_numpy_over_all_batches() -> None:
     generator = np.random.default_rng(0)
-    normaliser, batches = initial_normaliser(2, 1), []
+    normaliser: Any = initial_normaliser(2, 1)
+    batches = []
     for count in (3, 8, 20):
         batches.append(episodes(generator, count))
         normaliser = observe(normaliser, batches[-1], jnp.ones(count, bool))
@@ -48,8 +51,8 @@ def test_dropped_and_broken_episodes_leave_no_trace() -> None:
     kept = good.replace(
         **{name: getattr(good, name)[jnp.array([0, 3])] for name in good.__dataclass_fields__}
     )
-    expected = observe(initial_normaliser(2, 1), kept, jnp.ones(2, bool))
-    actual = observe(initial_normaliser(2, 1), poison, jnp.array([True, False, False, True]))
+    expected: Any = observe(initial_normaliser(2, 1), kept, jnp.ones(2, bool))
+    actual: Any = observe(initial_normaliser(2, 1), poison, jnp.array([True, False, False, True]))
     np.testing.assert_allclose(actual.observation.mean, expected.observation.mean, rtol=1e-6)
     np.testing.assert_allclose(actual.goal.std, expected.goal.std, rtol=1e-6)
 
@@ -57,8 +60,9 @@ def test_dropped_and_broken_episodes_leave_no_trace() -> None:
 def test_a_batch_of_only_dropped_episodes_changes_nothing() -> None:
     generator = np.random.default_rng(2)
     normaliser = observe(initial_normaliser(2, 1), episodes(generator, 3), jnp.ones(3, bool))
+    before: Any
     for before in (initial_normaliser(2, 1), normaliser):
-        after = observe(before, episodes(generator, 3), jnp.zeros(3, bool))
+        after: Any = observe(before, episodes(generator, 3), jnp.zeros(3, bool))
         np.testing.assert_array_equal(after.observation.mean, before.observation.mean)
         np.testing.assert_array_equal(after.observation.std, before.observation.std)
         assert np.isfinite(np.asarray(after.goal.mean)).all()
@@ -67,7 +71,7 @@ def test_a_batch_of_only_dropped_episodes_changes_nothing() -> None:
 def test_a_constant_entry_is_divided_by_the_floor() -> None:
     batch = episodes(np.random.default_rng(3), 4)
     batch = batch.replace(observation=jnp.full_like(batch.observation, 7.0))
-    normaliser = observe(initial_normaliser(2, 1), batch, jnp.ones(4, bool))
+    normaliser: Any = observe(initial_normaliser(2, 1), batch, jnp.ones(4, bool))
     np.testing.assert_allclose(normaliser.observation.std, 0.01)
     inputs = network_input(normaliser, jnp.array([7.02, 300.0]), jnp.zeros(1))
     np.testing.assert_allclose(inputs[:2], [2.0, 5.0], rtol=1e-3)

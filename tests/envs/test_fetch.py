@@ -1,3 +1,7 @@
+# Brax types the parts of its State as unknown.
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+# pyright: reportGeneralTypeIssues=false
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -74,9 +78,11 @@ def test_a_full_action_moves_the_grip_by_about_three_centimetres(env: FetchEnvir
     for axis, sign in ((0, 1), (1, -1), (2, 1)):
         action = np.zeros(4, np.float32)
         action[axis] = sign
+        path = [state]
         for _ in range(3):
-            before, state = state, step(state, jnp.asarray(action))
-        moved = np.asarray(state.obs["observation"][:3] - before.obs["observation"][:3])
+            path.append(step(path[-1], jnp.asarray(action)))
+        state = path[-1]
+        moved = np.asarray(state.obs["observation"][:3] - path[-2].obs["observation"][:3])
         assert moved[axis] * sign == pytest.approx(0.032, abs=0.003)
         assert np.abs(np.delete(moved, axis)).max() < 0.004
 
@@ -150,7 +156,7 @@ def test_native_state_survives_the_journey_through_jax_exactly() -> None:
     state = env.reset_to(jnp.array([1.25, 0.6]), jnp.zeros(3))
     model, data = env.scene.model, mujoco.MjData(env.scene.model)
     data.qpos[:] = env.scene.home.astype(np.float32)
-    data.qpos[env.scene.object_address : env.scene.object_address + 2] = np.float32([1.25, 0.6])
+    data.joint("object").qpos[:2] = np.array([1.25, 0.6], np.float32)
     target = ControlTarget(jnp.array([1.4, 0.7, 0.5]), jnp.array([1.0, 0, 1, 0]), jnp.zeros(2))
     data.mocap_pos[0], data.mocap_quat[0] = target.mocap_position, target.mocap_orientation
     physics_state, advance = state.pipeline_state, jax.jit(env.physics.advance)
