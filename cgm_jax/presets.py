@@ -63,17 +63,17 @@ PRESETS: dict[str, Grid] = {
     },
 }
 
-# Where the paper's tasks differ: push used 4 workers of 4 rollouts, pick-and-place 16. Summed
-# gradients of w workers act, under Adam, like one batch of 256 w.
-PAPER_BY_ENV: dict[str, Grid] = {
-    "push": {"environments": [16], "batch_size": [1024]},
-    "pick_and_place": {"environments": [64], "batch_size": [4096]},
+# Where a preset's tasks differ. The paper's push used 4 workers of 4 rollouts, pick-and-place
+# 16; summed gradients of w workers act, under Adam, like one batch of 256 w.
+BY_ENV: dict[str, dict[str, Grid]] = {
+    "cpu": {"reach": {"epochs": [3]}, "pick_and_place": {"epochs": [60]}},
+    "paper": {
+        "push": {"environments": [16], "batch_size": [1024]},
+        "pick_and_place": {"environments": [64], "batch_size": [4096]},
+    },
 }
 
 
 def preset_grid(name: str, env: str | None = None) -> Grid:
     """The values of a preset, for one environment if the preset differs between them."""
-    grid = dict(PRESETS[name])
-    if name == "paper" and env in PAPER_BY_ENV:
-        grid.update(PAPER_BY_ENV[env])
-    return grid
+    return {**PRESETS[name], **BY_ENV.get(name, {}).get(env or "", {})}

@@ -15,7 +15,7 @@ from cgm_jax.sweep import train_groups
 class TrainOptions(SettingOptions):
     """Train one run. Options that are not given keep the first of the preset's values."""
 
-    preset: Preset = "quick"
+    preset: Preset = "cpu"
     """Values to start from."""
 
     out: Path | None = None
@@ -29,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, values in chosen.items():
         if len(values) > 1:
             raise SettingError(f"{name}: takes one value here; cgm_jax.sweep takes several")
-    first = {name: values[:1] for name, values in preset_grid(options.preset).items()}
+    grid = preset_grid(options.preset)
+    first = {name: values[:1] for name, values in grid.items() if len(values) > 1}
     return train_groups(build_groups(options.preset, {**first, **chosen}), options)
 
 

@@ -1,0 +1,70 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cgm_jax.figures import epochs_to_half, learning_curves, mask_label, mask_success
+
+
+def rows() -> list[dict[str, Any]]:
+    """Three seeds each of c_g 0.1 (50 % at epochs 2, 3 and never) and 0.8 (never), and no CGM."""
+    curves = {
+        (0.1, True): [[0.2, 0.6, 0.9, 0.9], [0.0, 0.4, 0.5, 0.7], [0.0, 0.0, 0.1, 0.2]],
+        (0.8, True): [[0.0, 0.1, 0.2, 0.3]] * 3,
+        (0.0, False): [[0.0, 0.0, 0.0, 0.5]] * 3,
+    }
+    return [
+        {
+            "run": f"reach_her_{'cgm-' if cgm else 'full'}{c_g}_seed{seed}",
+            "env": "reach",
+            "her": True,
+            "cgm": cgm,
+            "c_g": c_g,
+            "kappa": 32.0,
+            "seed": seed,
+            "epoch": epoch + 1,
+            "env_steps": 1000 * (epoch + 1),
+            "success_rate": rate,
+            "mask_rate_estimated": [rate] * 8,
+            "mask_rate_training": [None] * 7 + [rate],
+        }
+        for (c_g, cgm), runs in curves.items()
+        for seed, curve in enumerate(runs)
+        for epoch, rate in enumerate(curve)
+    ]
+
+
+def line(panel: Any, label: str) -> np.ndarray:
+    (found,) = [one for one in panel.get_lines() if one.get_label() == label]
+    return np.array(found.get_xydata())
+
+
+def test_epochs_to_half_shows_medians_over_seeds_and_the_baseline() -> None:
+    (panel,) = epochs_to_half(rows()).axes
+    # Unreached runs stand at the last epoch; the median of (2, 3, never) is 3.
+    np.testing.assert_allclose(line(panel, "$\\kappa$ = 32"), [[10, 3], [80, 4]])
+    assert line(panel, "no CGM")[:, 1].tolist() == [4, 4]
+    assert panel.get_xlabel() == "target success rate $c_g$ (%)"
+    assert panel.get_ylabel() == "epochs to 50 % success"
+
+
+def test_learning_curves_show_medians_over_seeds() -> None:
+    (panel,) = learning_curves(rows()).axes
+    expected = np.column_stack([[1000, 2000, 3000, 4000], [0.0, 0.4, 0.5, 0.7]])
+    np.testing.assert_allclose(line(panel, "$c_g$ = 10 %"), expected)
+    np.testing.assert_allclose(line(panel, "no CGM")[:, 1], [0, 0, 0, 0.5])
+
+
+def test_masks_that_were_never_sampled_have_no_line() -> None:
+    estimated, training = mask_success(rows()).axes
+    assert len(estimated.get_lines()) == 8
+    assert [one.get_label() for one in training.get_lines()] == ["x y z"]
+    assert "10 %" in training.get_title()  # the better setting
+
+
+@pytest.mark.parametrize(
+    ("mask", "size", "label"),
+    [(0, 3, "none"), (7, 3, "x y z"), (4, 3, "x"), (5, 3, "x z"), (1, 2, "2")],
+)
+def test_mask_labels_name_the_kept_axes(mask: int, size: int, label: str) -> None:
+    assert mask_label(mask, size) == label
