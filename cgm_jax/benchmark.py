@@ -22,6 +22,7 @@ from rich.table import Table
 
 from cgm_jax.command_line import parse, run_program
 from cgm_jax.grid import Group, Run, build_groups
+from cgm_jax.settings import SettingError
 from cgm_jax.startup import prepare_jax
 
 
@@ -56,6 +57,8 @@ class Figure:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(BenchmarkOptions, arguments, "python -m cgm_jax.benchmark")
+    if not 1 <= options.repeats <= 1000:
+        raise SettingError(f"repeats: {options.repeats} is not within [1, 1000]")
     if options.part == "first-step":
         prepare_jax()
         _first_step()
@@ -273,7 +276,8 @@ def _measure_sweep(repeats: int) -> list[Figure]:
         return epoch
 
     six, one = trainer_of(group.runs), trainer_of(group.runs[:1])
-    six(), one()
+    for epoch in (six, one):
+        epoch()
     before = compilations(programs)
     six_seconds, one_seconds = _medians([six, one], repeats)
     return [

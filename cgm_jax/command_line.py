@@ -1,7 +1,8 @@
 """Options of the command-line programs, made from settings.py.
 
 Every setting is an option that takes one or more values. Bad input ends with one line and exit
-code 2, before JAX is imported.
+code 2: a bad value before JAX is imported, a bad environment or directory before anything
+compiles.
 """
 
 import contextlib
@@ -126,7 +127,10 @@ def _first_paragraph(box: str) -> str:
         if line.startswith(("─", "╰")):
             break
         message.append(line)
-    return " ".join(message).partition(" Got errors")[0].strip()
+    text = " ".join(message).partition(" Got errors")[0].strip()
+    return re.sub(
+        r"no type matching .* could be instantiated from (.*?)\.?$", r"not understood: \1", text
+    )
 
 
 assert set(PRESETS) == set(Preset.__args__)

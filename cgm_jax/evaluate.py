@@ -43,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     width = max(len(name) for name in results)
     for name, (successes, valid) in results.items():
+        if not valid:
+            print(f"{name:{width}}  no valid episode")
+            continue
         low, high = wilson_interval(successes, valid)
         print(
             f"{name:{width}}  {100 * successes / valid:5.1f} %  "

@@ -18,12 +18,16 @@ def evaluate_directory(
 ) -> dict[str, tuple[int, int]]:
     """Successes and valid episodes of every policy in a run directory, by run name.
 
+    Runs without a policy, because their sweep was stopped early, are left out.
+
     Raises:
-        SettingError: a policy is missing or malformed.
+        SettingError: a policy is malformed, or there is none at all.
     """
     results = {}
     for group in directory.groups():
         results |= _evaluate_group(group, directory, episodes, seed)
+    if not results:
+        raise SettingError(f"{directory.path} holds no policy yet")
     return results
 
 
@@ -41,10 +45,13 @@ def _evaluate_group(
         rollout = roll_out(env, policy, jax.random.key(seed), masks)
         return jnp.sum(rollout.valid & rollout.success), jnp.sum(rollout.valid)
 
+    runs = [run for run in group.runs if directory.policy_path(run).exists()]
+    if not runs:
+        return {}
     try:
-        policies = [load_policy(directory.policy_path(run)) for run in group.runs]
+        policies = [load_policy(directory.policy_path(run)) for run in runs]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
     except ValueError as error:
         raise SettingError(str(error)) from None
     successes, valid = jax.jit(jax.vmap(success))(stacked)
-    return {run.name: (int(successes[i]), int(valid[i])) for i, run in enumerate(group.runs)}
+    return {run.name: (int(successes[i]), int(valid[i])) for i, run in enumerate(runs)}

@@ -48,15 +48,17 @@ def learning_curves(rows: Rows) -> Figure:
 
     The runs without CGM, which have no kappa, appear in every panel in black.
     """
-    groups = _grouped(rows, lambda row: (row["env"], row["her"], row["cgm"] and row["kappa"]))
-    plain = {key[:2]: same for key, same in groups.items() if not key[2]}
-    masked = {key: same for key, same in groups.items() if key[2]} or groups
+    groups = _grouped(
+        rows, lambda row: (row["env"], row["her"], row["kappa"] if row["cgm"] else None)
+    )
+    plain = {key[:2]: same for key, same in groups.items() if key[2] is None}
+    masked = {key: same for key, same in groups.items() if key[2] is not None} or groups
     figure, panels = _panels(len(masked), width=5.0, height=4.0, columns=3)
     for panel, ((env, her, kappa), same) in zip(panels, sorted(masked.items()), strict=True):
         title = f"{_title(env)}, {'DDPG + HER' if her else 'DDPG'}"
-        if kappa:
+        if kappa is not None:
             title += f", $\\kappa$ = {kappa:g}"
-        if kappa and (env, her) in plain:
+        if kappa is not None and (env, her) in plain:
             curves = _curves(plain[env, her], "success_rate")
             _draw_quartiles(panel, *curves, "no CGM", "black")
         lines = sorted(_grouped(same, _line_label).items())
@@ -111,7 +113,7 @@ def mask_success(rows: Rows) -> Figure:
     for (estimated, training), (env, env_rows) in zip(pairs, by_env.items(), strict=True):
         label, best = max(
             _grouped(env_rows, _setting_label).items(),
-            key=lambda entry: np.mean([row["success_rate"] for row in entry[1]]),
+            key=lambda entry: np.mean([row["success_rate"] or 0.0 for row in entry[1]]),
         )
         for panel, name in ((estimated, "mask_rate_estimated"), (training, "mask_rate_training")):
             _draw_masks(panel, best, name)
@@ -154,7 +156,8 @@ def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
     masks = len(rows[0][name])
     size = masks.bit_length() - 1
     colours = plt.get_cmap("turbo")(np.linspace(0.05, 0.95, masks))
-    for mask in range(masks):
+    few = [*(1 << i for i in range(size)), masks - 1]  # single dimensions and the full goal
+    for mask in range(masks) if masks <= 16 else few:
         steps, curves = _curves(rows, lambda row, mask=mask: row[name][mask])
         if not np.isfinite(curves).any():
             continue
@@ -217,8 +220,8 @@ def _line_label(row: dict[str, Any]) -> str:
 
 def _other_axes(row: dict[str, Any]) -> list[str]:
     """Further swept settings, as the run's name has them."""
-    parts = row["run"].removeprefix(row["env"]).split("_")
-    return [part for part in parts[2:] if not part.startswith(("seed", "cgm-", "full"))]
+    tail = row["run"].rpartition("_her_" if row["her"] else "_ddpg_")[2]
+    return tail.split("_")[1:-1]  # between the mask sampler and the seed
 
 
 def _panels(count: int, width: float, height: float, columns: int = 2) -> tuple[Figure, list[Axes]]:

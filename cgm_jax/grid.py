@@ -6,8 +6,9 @@ one static axis that a sweep may have: its values run one after another.
 
 import dataclasses
 import itertools
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from cgm_jax.presets import Grid, preset_grid
@@ -46,11 +47,14 @@ def build_groups(preset: str, options: Grid) -> list[Group]:
     """
     groups = []
     for env in _values({**preset_grid(preset), **options}, "env", Settings.env):
-        grid = {**preset_grid(preset, env), **options, "env": [env]}
+        grid = {**preset_grid(preset, env), **options, "env": [_absolute(env)]}
         for name, values in grid.items():
             _check_axis(name, values)
         settings = Settings(**{name: grid[name][0] for name in STATIC if name in grid})
         groups.append(Group(settings, _runs(grid, env)))
+    names = [run.name for group in groups for run in group.runs]
+    if len(set(names)) < len(names):
+        raise SettingError("env: two environments would give their runs the same names")
     return groups
 
 
@@ -64,6 +68,11 @@ def split(group: Group, largest: int) -> list[Group]:
         Group(group.settings, group.runs[end - size : end])
         for size, end in zip(sizes, ends, strict=True)
     ]
+
+
+def _absolute(env: str) -> str:
+    """An environment's name; if it is a file's, one that holds in any working directory."""
+    return os.path.abspath(env) if ".py:" in env else env  # noqa: PTH100 -- keeps symbolic links
 
 
 def _values(grid: Grid, name: str, default: Any) -> Sequence[Any]:
@@ -87,21 +96,26 @@ def _runs(grid: Grid, env: str) -> tuple[Run, ...]:
     """The product of the traced axes, less runs that differ only in what has no effect."""
     axes = [grid.get(name, [getattr(Hyperparameters, name)]) for name in TRACED]
     swept = [name for name in TRACED if len(grid.get(name, ())) > 1]
-    runs: dict[str, Run] = {}
+    runs: dict[Hyperparameters, Run] = {}
     for values in itertools.product(*axes):
         hyper = Hyperparameters(*values)
         check(hyper)
-        name = _run_name(env, hyper, swept)
-        runs.setdefault(name, Run(name, hyper))
+        runs.setdefault(_effective(hyper), Run(_run_name(env, hyper, swept), hyper))
     return tuple(runs.values())
+
+
+def _effective(hyper: Hyperparameters) -> Hyperparameters:
+    """The same run with everything at its default that has no effect on it."""
+    idle = ([] if hyper.cgm else ["c_g", "kappa"]) + ([] if hyper.her else ["her_k"])
+    return replace(hyper, **{name: getattr(Hyperparameters, name) for name in idle})
 
 
 def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
     """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
     parts = [env.rpartition("/")[2].replace(".py:", "-"), "her" if hyper.her else "ddpg"]
-    parts += [f"cgm-cg{hyper.c_g:g}-kappa{hyper.kappa:g}"] if hyper.cgm else ["full"]
+    parts += [f"cgm-cg{hyper.c_g:.12g}-kappa{hyper.kappa:.12g}"] if hyper.cgm else ["full"]
     for name in swept:
         if name in ("seed", "c_g", "kappa", "cgm", "her") or (name == "her_k" and not hyper.her):
             continue
-        parts.append(f"{name.replace('_', '')}{getattr(hyper, name):g}")
+        parts.append(f"{name.replace('_', '')}{getattr(hyper, name):.12g}")
     return "_".join([*parts, f"seed{hyper.seed}"])

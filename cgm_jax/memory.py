@@ -13,11 +13,14 @@ USABLE_SHARE = 0.8
 
 
 def bytes_per_run(trainer: Trainer) -> int:
-    """Memory that one run takes on the device: its state, and a cycle's working set."""
+    """Memory that one run takes on the device: its state, and the largest part of a cycle.
+
+    That part is all transitions of a cycle's updates, before and after normalisation.
+    """
     state = jax.eval_shape(trainer.initial_state, Hyperparameters())
     key = jax.eval_shape(jax.random.key, 0)
     minibatches = jax.eval_shape(trainer.minibatches, state, Hyperparameters(), key)
-    return tree_bytes(state) + tree_bytes(minibatches)
+    return tree_bytes(state) + 2 * tree_bytes(minibatches)
 
 
 def tree_bytes(tree: object) -> int:
@@ -49,8 +52,10 @@ def _free_on_host() -> int:
 
 def _left_in_container() -> int:
     """What the control group still allows, where there is one with a limit."""
-    limit, used = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
+    folder = Path("/sys/fs/cgroup")
     try:
-        return int(limit.read_text()) - int(used.read_text())
+        limit, used = (int((folder / f"memory.{part}").read_text()) for part in ("max", "current"))
+        entries = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
     except (OSError, ValueError):
         return 2**63
+    return limit - used + int(entries.get("inactive_file", 0))  # file cache makes way

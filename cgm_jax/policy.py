@@ -54,10 +54,26 @@ def load_policy(path: Path) -> dict[str, np.ndarray]:
             arrays = {name: file[name] for name in file.files}
     except Exception as error:
         raise ValueError(f"{path}: not a readable policy file ({error})") from None
-    needed = {"layer_0_kernel", "observation_mean", "observation_std", "goal_mean", "goal_std"}
-    if missing := sorted((needed | set(LIMITS)) - set(arrays)):
-        raise ValueError(f"{path}: not a policy file, it lacks {', '.join(missing)}")
+    _check_arrays(path, arrays)
     return arrays
+
+
+def _check_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    layers = max(1, sum(name.endswith("_kernel") for name in arrays))
+    needed = {f"layer_{i}_{part}" for i in range(layers) for part in ("kernel", "bias")}
+    needed |= {f"{kind}_{part}" for kind in ("observation", "goal") for part in ("mean", "std")}
+    needed |= set(LIMITS)
+    if missing := sorted(needed - set(arrays)):
+        raise ValueError(f"{path}: not a policy file, it lacks {', '.join(missing)}")
+    for name in sorted(needed):
+        if not np.issubdtype(arrays[name].dtype, np.floating):
+            raise ValueError(f"{path}: not a policy file, {name} holds no real numbers")
+    width = arrays["observation_mean"].size + arrays["goal_mean"].size
+    for i in range(layers):
+        kernel, bias = arrays[f"layer_{i}_kernel"], arrays[f"layer_{i}_bias"]
+        if bias.ndim != 1 or kernel.shape != (width, bias.size):
+            raise ValueError(f"{path}: not a policy file, layer {i} has shape {kernel.shape}")
+        width = bias.size
 
 
 def act(

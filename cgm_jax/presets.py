@@ -18,6 +18,18 @@ _CPU: Grid = {
     "replay_transitions": [600_000],
 }
 
+# The manipulation tasks need HER, wider networks and more steps; so fewer points.
+_QUICK_WITH_HER: Grid = {
+    **_CPU,
+    "her": [True],
+    "c_g": [0.1, 0.4],
+    "kappa": [32.0],
+    "seed": [0],
+    "epochs": [60],
+    "environments": [16],
+    "hidden_layers": [(256, 256, 256)],
+}
+
 PRESETS: dict[str, Grid] = {
     # Seconds; proves that the whole path works, and learns nothing.
     "smoke": {
@@ -66,6 +78,7 @@ PRESETS: dict[str, Grid] = {
 # Where a preset's tasks differ. The paper's push used 4 workers of 4 rollouts, pick-and-place
 # 16; summed gradients of w workers act, under Adam, like one batch of 256 w.
 BY_ENV: dict[str, dict[str, Grid]] = {
+    "quick": {"push": {**_QUICK_WITH_HER, "epochs": [25]}, "pick_and_place": _QUICK_WITH_HER},
     "cpu": {"reach": {"epochs": [3]}, "pick_and_place": {"epochs": [60]}},
     "paper": {
         "push": {"environments": [16], "batch_size": [1024]},

@@ -16,12 +16,14 @@ class Programs:
     """One compiled program each, whatever the number of runs and the values they sweep.
 
     Attributes:
+        trainer: whose programs these are.
         start: hyperparameters to states.
         train: states, hyperparameters and a number of cycles to states. Takes the states over:
             their buffers are reused.
         evaluate: states and hyperparameters to states and metrics; takes the states over.
     """
 
+    trainer: Trainer
     start: Callable[[Hyperparameters], TrainingState]
     train: Callable[[TrainingState, Hyperparameters, int], TrainingState]
     evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
@@ -30,6 +32,7 @@ class Programs:
 def make_programs(trainer: Trainer) -> Programs:
     """Jit and vmap a trainer over a leading axis of runs. Nothing compiles yet."""
     return Programs(
+        trainer=trainer,
         start=jax.jit(jax.vmap(trainer.initial_state)),
         train=jax.jit(jax.vmap(trainer.train_cycles, in_axes=(0, 0, None)), donate_argnums=0),
         evaluate=jax.jit(jax.vmap(trainer.evaluate), donate_argnums=0),

@@ -1,10 +1,12 @@
 """What a sweep shows while it runs."""
 
+import math
 import time
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
+import numpy as np
 from rich.columns import Columns
 from rich.console import Console, Group
 from rich.live import Live
@@ -62,7 +64,7 @@ class SweepProgress:
         self._success.update(success)
         self._redraw()
         if not self._console.is_terminal:
-            rates = sorted(success.values())
+            rates = sorted(rate for rate in success.values() if math.isfinite(rate)) or [math.nan]
             self._console.print(
                 f"epoch {epoch}: {env_steps:,} env_steps, success median "
                 f"{_percent(rates[len(rates) // 2])} of {len(rates)} runs "
@@ -80,11 +82,11 @@ class SweepProgress:
 
 
 def _percent(rate: float) -> str:
-    return f"{100 * rate:.0f} %"
+    return f"{100 * rate:.0f} %" if math.isfinite(rate) else "no valid episode"
 
 
 def summary_lines(success: Sequence[tuple[str, float]]) -> list[str]:
     """Final success per run, best first."""
-    ordered = sorted(success, key=lambda entry: -entry[1])
+    ordered = sorted(success, key=lambda entry: -np.nan_to_num(entry[1]))
     width = max(len(name) for name, _ in ordered)
     return [f"{name:{width}}  {_percent(rate):>5}" for name, rate in ordered]

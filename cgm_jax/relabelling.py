@@ -77,7 +77,7 @@ def sample_transitions(
 def _integer_below(bound: int | jax.Array, uniform: jax.Array) -> jax.Array:
     """Turn numbers uniform in [0, 1) into integers uniform in {0..bound - 1}.
 
-    Far cheaper to compile than `jax.random.randint`. float32 numbers have 24 bits, which makes
-    probabilities uneven by at most bound / 2^24. Rounding must not reach the bound.
+    Far cheaper to compile than `jax.random.randint`. JAX's float32 draws have 23 bits, which makes
+    probabilities uneven by at most bound / 2^23. Rounding must not reach the bound.
     """
     return jnp.minimum(jnp.floor(uniform * bound).astype(jnp.int32), bound - 1)

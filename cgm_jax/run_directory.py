@@ -43,9 +43,9 @@ class RunDirectory:
         Raises:
             SettingError: it holds a sweep already, or cannot be written to.
         """
-        if (path / CONFIG).exists() or (path / METRICS).exists():
-            raise SettingError(f"out: {path} already holds a sweep; name another directory")
         try:
+            if (path / CONFIG).exists() or (path / METRICS).exists():
+                raise SettingError(f"out: {path} already holds a sweep; name another directory")
             for part in ("policies", "figures", "checkpoints"):
                 (path / part).mkdir(parents=True, exist_ok=True)
             (path / METRICS).touch()
@@ -64,10 +64,10 @@ class RunDirectory:
             raise SettingError(f"{path} holds no sweep: {CONFIG} is missing")
         return cls(path)
 
-    def write_config(self, groups: list[Group], preset: str) -> None:
-        """Record how to run the sweep again."""
+    def write_config(self, groups: list[Group], preset: str, device: str) -> None:
+        """Record how to run the sweep again; `device` names what JAX computes on."""
         config = {
-            "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+            "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
             "preset": preset,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "groups": [
@@ -80,6 +80,8 @@ class RunDirectory:
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
             "python": platform.python_version(),
             "commit": _commit(),
+            "device": device,
+            "flags": os.environ.get("XLA_FLAGS", ""),
             "machine": f"{platform.platform()}, {os.cpu_count()} cores",
         }
         (self.path / CONFIG).write_text(json.dumps(config, indent=2) + "\n")
@@ -123,15 +125,10 @@ class RunDirectory:
 
 def _commit() -> str | None:
     """The commit of this checkout, marked if it has changes; None in an installed wheel."""
-    git = [
-        "git",
-        "-C",
-        str(Path(__file__).parent),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=12",
-    ]
+    checkout = Path(__file__).parents[1]
+    if not (checkout / ".git").exists():
+        return None
+    git = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
     try:
         result = subprocess.run(git, capture_output=True, text=True, check=False)
     except OSError:
@@ -146,7 +143,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return round(value, 7) if math.isfinite(value) else None
+        array = np.asarray(value)
+        if np.issubdtype(array.dtype, np.floating):  # float32 has seven digits
+            array = array.astype(np.float64).round(7)
+        return _plain(array.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     return value

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -24,28 +25,51 @@ CHECKPOINT_SECONDS = 300.0
 """Least time between two checkpoints of a group, other than its last."""
 
 
-def fit_into_memory(groups: Sequence[Group]) -> tuple[list[Group], list[str]]:
-    """Split groups that do not fit; say per group how much memory it will take."""
-    fitting, notes = [], []
+@dataclass(frozen=True)
+class Job:
+    """Runs that train side by side, and the programs that train them."""
+
+    group: Group
+    programs: Programs
+
+
+def plan_jobs(groups: Sequence[Group]) -> tuple[list[Job], list[str]]:
+    """Build what groups need, split those that do not fit into memory, and say what they take.
+
+    Parts of one group share their programs, so that equal parts compile once.
+
+    Returns:
+        Jobs in order, and one line per group.
+
+    Raises:
+        SettingError: an environment cannot be made.
+    """
+    jobs, notes = [], []
     for group in groups:
-        per_run = bytes_per_run(Trainer(make_environment(group.settings), group.settings))
+        programs = make_programs(Trainer(make_environment(group.settings), group.settings))
+        per_run = bytes_per_run(programs.trainer)
         parts = split(group, runs_that_fit(per_run))
-        fitting += parts
-        note = f"{group.settings.env}: {len(group.runs)} runs of {per_run / 2**20:,.0f} MiB"
+        jobs += [Job(part, programs) for part in parts]
+        largest = len(parts[0].runs)
+        note = f"{group.settings.env}: {len(group.runs)} runs"
         if len(parts) > 1:
-            note += f", {len(parts[0].runs)} at a time"
-        notes.append(note)
-    return fitting, notes
+            note += f", {largest} at a time,"
+        notes.append(f"{note} take {_size(largest * per_run)} ({_size(per_run)} each)")
+    return jobs, notes
 
 
-def run_group(
-    group: Group, index: int, directory: RunDirectory, progress: SweepProgress
+def _size(count: int) -> str:
+    return f"{count / 2**20:,.1f} MiB" if count < 2**30 else f"{count / 2**30:,.1f} GiB"
+
+
+def run_job(
+    job: Job, index: int, directory: RunDirectory, progress: SweepProgress
 ) -> dict[str, float]:
-    """Train all runs of a group side by side, and write what they give.
+    """Train all runs of a job side by side, and write what they give.
 
     Args:
-        group: runs of one program.
-        index: number of the group in its sweep.
+        job: what to train.
+        index: number of the job in its sweep.
         directory: where metrics, policies and checkpoints go.
         progress: is told of every chunk and epoch.
 
@@ -53,11 +77,10 @@ def run_group(
         Final success rate by run name.
     """
     started = saved = time.monotonic()
-    trainer = Trainer(make_environment(group.settings), group.settings)
-    programs, hyper = make_programs(trainer), stack_runs(group.runs)
+    group, programs, hyper = job.group, job.programs, stack_runs(job.group.runs)
     state, pace, success = programs.start(hyper), Pace(), {}
     for epoch in range(1, group.settings.epochs + 1):
-        state = _train_epoch(trainer, programs, state, hyper, pace, progress)
+        state = _train_epoch(programs, state, hyper, pace, progress)
         state, metrics = programs.evaluate(state, hyper)
         rows = _rows(group, epoch, time.monotonic() - started, metrics)
         directory.append_metrics(rows)
@@ -72,13 +95,13 @@ def run_group(
 
 
 def _train_epoch(
-    trainer: Trainer,
     programs: Programs,
     state: TrainingState,
     hyper: Hyperparameters,
     pace: Pace,
     progress: SweepProgress,
 ) -> TrainingState:
+    trainer = programs.trainer
     remaining = trainer.settings.cycles_per_epoch
     steps_per_cycle = trainer.settings.environments * trainer.env.episode_length
     runs = len(jax.tree.leaves(hyper)[0])

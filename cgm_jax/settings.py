@@ -49,7 +49,7 @@ class Settings:
     """Static settings, shared by all runs of one compiled program.
 
     Raises:
-        SettingError: a value out of its range, or two that contradict each other.
+        SettingError: a value out of its range.
     """
 
     env: str = _setting("push", "reach, push, pick_and_place, or FILE.py:FACTORY of your own")
@@ -71,10 +71,6 @@ class Settings:
     def __post_init__(self) -> None:
         check(self)
 
-    def env_steps_per_epoch(self, episode_length: int) -> int:
-        """Environment steps that training takes in an epoch, over all environments."""
-        return self.cycles_per_epoch * self.environments * episode_length
-
 
 def check(settings: Settings | Hyperparameters) -> None:
     """Check every value against its range.
@@ -94,5 +90,6 @@ def check(settings: Settings | Hyperparameters) -> None:
             if not math.isfinite(number):
                 raise SettingError(f"{item.name}: {number} is not a finite number")
             if not low <= number <= high:
-                bounds = f"at least {low:g}" if high == math.inf else f"within [{low:g}, {high:g}]"
+                upper = "" if high == math.inf else f", {high:.10g}]"
+                bounds = f"within [{low:.10g}{upper}" if upper else f"at least {low:.10g}"
                 raise SettingError(f"{item.name}: {number} is not {bounds}")

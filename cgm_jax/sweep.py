@@ -18,7 +18,11 @@ from cgm_jax.command_line import (
 )
 from cgm_jax.grid import Group, build_groups
 from cgm_jax.run_directory import RunDirectory
+from cgm_jax.settings import SettingError
 from cgm_jax.startup import prepare_jax
+
+STOPPED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 
 @dataclass(kw_only=True)
@@ -49,21 +53,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def train_groups(groups: list[Group], options: Any) -> int:
     """Train groups of runs one after another into `options.out`; return the exit code."""
     out = options.out or Path("runs") / f"{options.preset}-{datetime.now():%Y%m%d-%H%M%S}"
-    # Everything above needed no JAX; the environments do, to be checked before anything compiles.
+    if options.out == Path():
+        raise SettingError("out: is empty")
     prepare_jax()
+    import jax
+
     from cgm_jax.figures import draw_figures
     from cgm_jax.progress import SweepProgress, summary_lines
-    from cgm_jax.runner import fit_into_memory, run_group
+    from cgm_jax.runner import plan_jobs, run_job
 
-    groups, notes = fit_into_memory(groups)
+    jobs, notes = plan_jobs(groups)
     directory = RunDirectory.create(out)
-    directory.write_config(groups, options.preset)
+    device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
+    directory.write_config([job.group for job in jobs], options.preset, device)
     print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
     started, success = time.monotonic(), {}
-    cycles = sum(group.settings.epochs * group.settings.cycles_per_epoch for group in groups)
-    with SweepProgress(cycles) as progress:
-        for index, group in enumerate(groups):
-            success |= run_group(group, index, directory, progress)
+    cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
+    try:
+        with SweepProgress(cycles) as progress:
+            for index, job in enumerate(jobs):
+                success |= run_job(job, index, directory, progress)
+    except KeyboardInterrupt:
+        print(f"stopped; what was done so far is in {out}", file=sys.stderr)
+        return STOPPED
     draw_figures(directory)
     print("\n".join(summary_lines(list(success.items()))))
     print(f"{time.monotonic() - started:.0f} s; figures in {out / 'figures'}")

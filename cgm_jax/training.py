@@ -31,11 +31,14 @@ from cgm_jax.normaliser import initial_normaliser, network_input, observe
 from cgm_jax.relabelling import sample_transitions
 from cgm_jax.replay import empty_replay, insert
 from cgm_jax.rollout import Policy, roll_out
-from cgm_jax.settings import Hyperparameters, Settings
+from cgm_jax.settings import Hyperparameters, SettingError, Settings
 from cgm_jax.training_state import EpochStatistics, TrainingState, empty_statistics
 from envs import GoalEnvironment
 
 Metrics = dict[str, jax.Array]
+
+GREATEST_GOAL_SIZE = 12
+"""All 2^n masks are tabulated."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class Trainer:
     Attributes:
         env: what to train on.
         settings: static settings; `settings.env` and `settings.engine` are not read here.
+
+    Raises:
+        SettingError: on first use, if the goal has more than 12 dimensions.
     """
 
     env: GoalEnvironment
@@ -54,7 +60,12 @@ class Trainer:
     def _sizes(self) -> tuple[int, int]:
         """Sizes of the observation and of the goal."""
         state = jax.eval_shape(self.env.reset, jax.random.key(0))
-        return state.obs["observation"].shape[-1], state.obs["desired_goal"].shape[-1]
+        goal_size = state.obs["desired_goal"].shape[-1]
+        if goal_size > GREATEST_GOAL_SIZE:
+            raise SettingError(
+                f"env: its goal has {goal_size} dimensions; masks serve up to {GREATEST_GOAL_SIZE}"
+            )
+        return state.obs["observation"].shape[-1], goal_size
 
     @functools.cached_property
     def ddpg(self) -> DDPG:
@@ -153,7 +164,7 @@ class Trainer:
         full = jnp.ones((self.settings.evaluation_episodes, self._sizes[1]))
         rollout = roll_out(self.env, self._policy(state), reset_key, full)
         valid = rollout.valid
-        episodes = jnp.maximum(valid.sum(), 1)
+        episodes = valid.sum()  # of which there may be none: 0 / 0 is NaN, written as null
         statistics = state.statistics
         rates, probabilities = self.curriculum(state, hyper)
         metrics = {

@@ -30,6 +30,8 @@ def make(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
     settable -= {"task", "scene", "physics"}
     if unknown := sorted(set(fields) - settable):
         raise ValueError(f"{unknown[0]}: no such field; choose from {', '.join(sorted(settable))}")
+    if fields.get("air_probability", 0.0) > 0.0 and (task.fingers_blocked or not task.has_object):
+        raise ValueError(f"air_probability: the object of {name} cannot be lifted into the air")
     scene = load_scene(task)
     fields.setdefault("air_probability", task.air_probability)
     return FetchEnvironment(task, scene, start_engine(engine, scene), **fields)

@@ -14,8 +14,9 @@ class Task:
             action says.
         pose_lag: age in seconds of the gripper position that an action displaces. In
             pick-and-place Gymnasium-Robotics reads it one 2 ms substep late.
-        air_probability: default chance that a goal lies above the table. 1 for the paper's
-            pick-and-place, whose DDPG+HER baseline never succeeds; Gymnasium-Robotics has 0.5.
+        air_probability: default chance that a goal lies above the table, where the object can be
+            lifted. 1 for the paper's pick-and-place, whose DDPG+HER baseline never succeeds;
+            Gymnasium-Robotics has 0.5.
     """
 
     scene: str

@@ -31,9 +31,17 @@ def choose_engine(name: str) -> str:
 
 
 def start_engine(name: str, scene: Scene) -> Physics:
-    """Build an engine for a scene; its own dependencies are imported only here."""
+    """Build an engine for a scene; its own dependencies are imported only here.
+
+    Raises:
+        ValueError: the engine is unknown, not installed, or cannot run on JAX's device.
+    """
     name = choose_engine(name)
     if name == "native":
+        import jax
+
+        if jax.default_backend() != "cpu":
+            raise ValueError("engine: native needs JAX on a CPU; set JAX_PLATFORMS=cpu")
         from envs.physics.native import NativePhysics
 
         return NativePhysics(scene)

@@ -13,7 +13,8 @@ from envs.scene import Scene
 
 # XLA's fusion emitters on CPU take minutes to compile the vmapped kinematics of an arm and
 # then run it a hundred times slower. The flag costs network updates 7 %, so only this engine
-# sets it. It has no meaning on a GPU.
+# sets it. It has no meaning on a GPU, and no effect once anything has run on JAX's backend: make
+# the environment first, or set XLA_FLAGS yourself.
 CPU_FLAG = "--xla_cpu_use_fusion_emitters=false"
 
 
@@ -40,7 +41,7 @@ class MjxPhysics:
             implementation: "jax", or "warp" where warp-lang is installed.
         """
         flags = os.environ.get("XLA_FLAGS", "")
-        if CPU_FLAG not in flags:  # read when the backend starts
+        if CPU_FLAG.partition("=")[0] not in flags:
             os.environ["XLA_FLAGS"] = f"{flags} {CPU_FLAG}".strip()
         self.weld_drifts = implementation == "warp"  # Warp follows C MuJoCo; MJX has no such term
         self._blocked = jnp.asarray(scene.blocked_addresses, jnp.int32)
@@ -74,10 +75,8 @@ class MjxPhysics:
         if self._model.impl == mjx.Impl.WARP:
             data = mjx.forward(self._model, data)
         else:
-            data = mjx.com_vel(
-                self._model, mjx.com_pos(self._model, mjx.kinematics(self._model, data))
-            )
-            data = mjx.sensor_vel(self._model, mjx.sensor_pos(self._model, data))
+            for stage in SENSOR_STAGES:
+                data = stage(self._model, data)
         finite = jnp.isfinite(data.qpos).all() & jnp.isfinite(data.qvel).all()
         return PhysicsState(
             engine_state=Motion(data.qpos, data.qvel, data.qacc_warmstart),

@@ -22,12 +22,15 @@ class OneStepProbe:
     """
 
     goals: tuple[float, ...]
+    goal_size: int = 1
     action_size: int = 1
     episode_length: int = 1
     distance_threshold: float = 0.05
 
     def reset(self, rng: jax.Array) -> State:
-        goal = jnp.asarray(self.goals)[jax.random.randint(rng, (1,), 0, len(self.goals))]
+        goal = jnp.asarray(self.goals)[
+            jax.random.randint(rng, (self.goal_size,), 0, len(self.goals))
+        ]
         return self._state(jnp.zeros(1), goal)
 
     def step(self, state: State, action: jax.Array) -> State:
@@ -54,6 +57,21 @@ class FaultyProbe(OneStepProbe):
         return after.replace(
             obs={**after.obs, "observation": jnp.where(broken, jnp.nan, jnp.ones(1))}
         )
+
+
+@dataclass(frozen=True)
+class AlwaysFaultyProbe(OneStepProbe):
+    """The probe, with physics that always break."""
+
+    def reset(self, rng: jax.Array) -> State:
+        state = super().reset(rng)
+        state.metrics["physics_warnings"] = jnp.zeros(())
+        return state
+
+    def step(self, state: State, action: jax.Array) -> State:
+        after = super().step(state, action)
+        after.metrics["physics_warnings"] = jnp.ones(())
+        return after
 
 
 TINY = Settings(

@@ -31,7 +31,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     grid = ["--c-g", "0.1", "0.6", "--kappa", "4", "--cgm", "on", "off", "--seeds", "1"]
     result = run("sweep", *SMOKE, *grid, "--out", str(out))
     assert result.returncode == 0, result.stderr
-    assert "3 runs of" in result.stderr  # how much memory it takes, said beforehand
+    assert "3 runs take" in result.stderr  # how much memory it takes, said beforehand
     assert "epoch 2:" in result.stderr
     return out
 
@@ -110,6 +110,10 @@ def test_evaluate_refuses_damaged_policies(sweep: Path) -> None:
         result = run("evaluate", str(sweep))
         assert result.returncode == 2
         assert "not a policy file" in result.stderr
+        path.unlink()  # of a sweep that was stopped before its first policy
+        result = run("evaluate", str(sweep), "--episodes", "5")
+        assert result.returncode == 0
+        assert len(result.stdout.splitlines()) == 2
     finally:
         path.write_bytes(intact)
 
@@ -133,7 +137,8 @@ def test_train_learns_on_an_environment_from_the_users_own_file(tmp_path: Path) 
 
 BAD_INPUT = {
     "--env slide": "env: unknown environment 'slide'",
-    "--env nowhere.py:Thing": "env: 'nowhere.py:Thing'",
+    "--env nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:FACTORY",
+    "--env push --air-probability 0.5": "air_probability: the object of push",
     "--engine bullet": "engine: unknown engine 'bullet'",
     "--c-g": "c_g: needs at least one value",
     "--c-g 1.5": "c_g: 1.5 is not within [0, 1]",
@@ -146,6 +151,7 @@ BAD_INPUT = {
     "--colour red": "--colour",
     "--preset huge": "--preset",
     "--her maybe": "--her",
+    "--hidden-layers 64.5": "--hidden-layers: not understood: ['64.5']",
     "--out /proc/nowhere": "out: cannot write to /proc/nowhere",
 }
 

@@ -55,6 +55,30 @@ def test_learning_curves_show_medians_over_seeds() -> None:
     np.testing.assert_allclose(line(panel, "no CGM")[:, 1], [0, 0, 0, 0.5])
 
 
+def test_uniform_masks_are_not_taken_for_no_curriculum() -> None:
+    uniform = [{**row, "kappa": 0.0} if row["cgm"] else row for row in rows()]
+    (panel,) = learning_curves(uniform).axes
+    assert panel.get_title() == "reach, DDPG + HER, $\\kappa$ = 0"
+    assert line(panel, "no CGM")[:, 1].tolist() == [0, 0, 0, 0.5]
+    assert line(panel, "$c_g$ = 10 %")[-1, 1] == 0.7
+
+
+def test_further_axes_appear_in_the_legend_also_for_environments_from_files() -> None:
+    mine = [
+        {
+            **row,
+            "run": f"point_mass-PointMass_her_cgm-cg0.1-kappa32_herk{k}_seed{row['seed']}",
+            "env": "/a/point_mass.py:PointMass",
+        }
+        for row in rows()
+        if row["c_g"] == 0.1
+        for k in (1, 4)
+    ]
+    (panel,) = learning_curves(mine).axes
+    labels = [one.get_label() for one in panel.get_lines()]
+    assert labels[:2] == ["$c_g$ = 10 %, herk1", "$c_g$ = 10 %, herk4"]
+
+
 def test_masks_that_were_never_sampled_have_no_line() -> None:
     estimated, training = mask_success(rows()).axes
     assert len(estimated.get_lines()) == 8

@@ -32,6 +32,15 @@ def test_runs_that_differ_only_in_what_has_no_effect_are_trained_once() -> None:
     assert no_her == ["reach_ddpg_cgm-cg0.1-kappa32_seed0"]
 
 
+def test_values_that_differ_in_the_eighth_digit_are_two_runs() -> None:
+    assert len(names({"c_g": [0.1, 0.10000001], "kappa": [32.0]})) == 2
+
+
+def test_environments_whose_runs_would_share_names_are_refused() -> None:
+    with pytest.raises(SettingError, match="env: two environments would give their runs"):
+        build_groups("smoke", {"env": ["a/mine.py:Task", "b/mine.py:Task"]})
+
+
 def test_every_traced_setting_can_be_an_axis_and_names_its_runs() -> None:
     for item in dataclasses.fields(Hyperparameters):
         values = [True, False] if isinstance(item.default, bool) else [0, 0.25]
@@ -54,8 +63,8 @@ def test_environments_become_groups_with_the_papers_settings_for_each() -> None:
         points = {(run.hyper.c_g, run.hyper.kappa, run.hyper.her) for run in group.runs}
         assert len(points) == 18 * 2
         assert len(group.runs) == 18 * 2 * 5
-    assert push.settings.env_steps_per_epoch(50) == 51_200
-    assert pick.settings.env_steps_per_epoch(50) == 204_800
+    for group, env_steps in ((push, 51_200), (pick, 204_800)):
+        assert group.settings.cycles_per_epoch * group.settings.environments * 50 == env_steps
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ def test_a_run_takes_its_state_and_a_cycles_minibatches() -> None:
     trainer = Trainer(PointMass(), TINY)
     state = jax.eval_shape(trainer.initial_state, Hyperparameters())
     minibatches = 4 * TINY.updates_per_cycle * TINY.batch_size * (2 * (4 + 2) + 2 + 1)
-    assert bytes_per_run(trainer) == tree_bytes(state) + minibatches
+    assert bytes_per_run(trainer) == tree_bytes(state) + 2 * minibatches
 
 
 def test_what_is_free_is_within_what_a_machine_has() -> None:
@@ -37,7 +37,7 @@ def test_runs_that_fit(monkeypatch: pytest.MonkeyPatch, free: int, fit: int) -> 
 def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     (group,) = build_groups("smoke", {"seed": list(range(5)), "kappa": [4.0], "engine": ["native"]})
     monkeypatch.setattr(runner, "runs_that_fit", lambda _: 2)
-    groups, (note,) = runner.fit_into_memory([group])
-    assert [len(part.runs) for part in groups] == [2, 2, 1]
-    assert "reach: 5 runs of" in note
-    assert "2 at a time" in note
+    jobs, (note,) = runner.plan_jobs([group])
+    assert [len(job.group.runs) for job in jobs] == [2, 2, 1]
+    assert note.startswith("reach: 5 runs, 2 at a time, take ")
+    assert len({id(job.programs) for job in jobs}) == 1

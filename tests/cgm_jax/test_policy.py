@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +45,49 @@ def test_a_policy_file_acts_as_the_trained_actor_does_in_jax_and_in_ten_lines_of
     for i in range(20):
         actual = readme_policy(path, observation[i], goal[i])
         np.testing.assert_allclose(actual, expected[i], atol=1e-5)
+
+
+def test_the_readmes_library_example_trains() -> None:
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    namespace: dict[str, Any] = {}
+    exec(readme.split("<!-- library -->\n```python\n")[1].split("```")[0], namespace)
+    assert namespace["metrics"]["mask_probability"].shape == (4,)
+    assert int(namespace["state"].env_steps) == 10 * 16 * 25
+
+
+GOOD = {
+    "layer_0_kernel": np.zeros((3, 4)),
+    "layer_0_bias": np.zeros(4),
+    "layer_1_kernel": np.zeros((4, 2)),
+    "layer_1_bias": np.zeros(2),
+    **{
+        f"{kind}_{part}": np.ones(n)
+        for kind, n in (("observation", 2), ("goal", 1))
+        for part in ("mean", "std")
+    },
+    "raw_limit": np.array(200.0),
+    "normalised_limit": np.array(5.0),
+}
+BAD = {
+    "lacks layer_1_bias": {"layer_1_bias": None},
+    "lacks goal_std": {"goal_std": None},
+    "layer 1 has shape": {"layer_1_kernel": np.zeros((5, 2))},
+    "layer 0 has shape": {"observation_mean": np.ones(7)},
+    "goal_mean holds no real numbers": {"goal_mean": np.array(["a"])},
+}
+
+
+@pytest.mark.parametrize("complaint", BAD)
+def test_a_malformed_policy_is_refused_with_its_reason(complaint: str, tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    np.savez(path, **GOOD)  # pyright: ignore
+    assert set(load_policy(path)) == set(GOOD)
+    arrays = {
+        name: array for name, array in {**GOOD, **BAD[complaint]}.items() if array is not None
+    }
+    np.savez(path, **arrays)  # pyright: ignore
+    with pytest.raises(ValueError, match=complaint):
+        load_policy(path)
 
 
 def test_a_file_with_a_pickle_is_refused(tmp_path: Path) -> None:

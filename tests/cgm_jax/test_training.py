@@ -6,13 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from cgm_jax.grid import Run
 from cgm_jax.programs import compilations, make_programs, stack_runs
-from cgm_jax.settings import Hyperparameters
+from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Metrics, Trainer
 from cgm_jax.training_state import TrainingState, stack
-from tests.cgm_jax.probe import TINY, FaultyProbe
+from tests.cgm_jax.probe import TINY, AlwaysFaultyProbe, FaultyProbe, OneStepProbe
 from tests.examples.point_mass import PointMass
 
 TRAINER = Trainer(PointMass(), TINY)
@@ -162,3 +163,17 @@ def test_episodes_with_broken_physics_are_dropped_and_counted() -> None:
     assert dropped > 32 - kept  # evaluation episodes count as well
     for leaf in bits(state):
         assert np.isfinite(leaf).all()
+
+
+def test_an_evaluation_without_a_valid_episode_has_no_success_rate() -> None:
+    trainer = Trainer(AlwaysFaultyProbe((1.0,)), TINY)
+    state = trainer.initial_state(Hyperparameters())
+    state, metrics = jax.jit(trainer.evaluate)(state, Hyperparameters())
+    assert np.isnan(float(metrics["success_rate"]))
+    assert int(state.history.count) == 0
+
+
+def test_goals_with_more_masks_than_can_be_tabulated_are_refused() -> None:
+    trainer = Trainer(OneStepProbe((0.0,), goal_size=13), TINY)
+    with pytest.raises(SettingError, match="env: its goal has 13 dimensions"):
+        trainer.initial_state(Hyperparameters())

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from envs.physics.mjx import CPU_FLAG
+
 PROGRAM = """
 import sys
 import jax, jax.numpy as jnp, numpy as np
@@ -32,7 +34,7 @@ print("moved", np.ptp(grips["native"][..., :3], axis=0).min())
 
 
 def largest_differences(task: str) -> tuple[float, float, float]:
-    environment = {**os.environ, "XLA_FLAGS": ""}
+    environment = {**os.environ, "XLA_FLAGS": CPU_FLAG}
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM, task],
         capture_output=True,

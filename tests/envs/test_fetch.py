@@ -202,7 +202,8 @@ def test_broken_physics_is_reported() -> None:
     [
         ({"name": "slide"}, "env: unknown environment 'slide'"),
         ({"name": "push", "engine": "bullet"}, "engine: unknown engine 'bullet'"),
-        ({"name": "push", "air_probability": 1.5}, "air_probability: 1.5"),
+        ({"name": "pick_and_place", "air_probability": 1.5}, "air_probability: 1.5"),
+        ({"name": "push", "air_probability": 0.5}, "air_probability: the object of push"),
         ({"name": "push", "colour": "red"}, "colour: no such field"),
         ({"name": "push", "episode_length": 0}, "episode_length: 0"),
     ],
