@@ -106,7 +106,10 @@ class Trainer:
     def train_cycles(
         self, state: TrainingState, hyper: Hyperparameters, count: int | jax.Array
     ) -> TrainingState:
-        """Any number of cycles. `count` may be traced, so that one program serves all chunks."""
+        """Any number of cycles: one scan whose length may be traced.
+
+        So one program serves chunks of all lengths, and chunks give the bits of one whole.
+        """
         return jax.lax.fori_loop(0, count, lambda _, state: self.cycle(state, hyper), state)
 
     def cycle(self, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
@@ -158,7 +161,8 @@ class Trainer:
         """Close an epoch: noise-free episodes with the full goal, and the epoch's metrics.
 
         Feeds the sub-goal history, starts new epoch statistics, and returns, per run, what
-        metrics.jsonl holds. Evaluation steps do not count as `env_steps`.
+        metrics.jsonl holds. Mask rates and probabilities are those that the epoch was trained
+        with, so before this evaluation. Evaluation steps do not count as `env_steps`.
         """
         key, reset_key = jax.random.split(state.key)
         full = jnp.ones((self.settings.evaluation_episodes, self._sizes[1]))
