@@ -12,6 +12,7 @@ import envs
 from envs.fetch import FetchEnvironment
 from envs.mocap_controller import ControlTarget
 from envs.physics.native import NativePhysics
+from tests.envs.scripted import success_rate
 
 GRIP_HOME = {
     "push": (1.3455, 0.7490, 0.4136),
@@ -96,32 +97,9 @@ def test_success_and_reward_are_those_of_the_threshold() -> None:
     assert float(away.reward) == -1.0
 
 
-def scripted_push(observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Get behind the object, seen from the goal, then drive towards the goal."""
-    grip, block = observation[:3], observation[3:6]
-    way = (goal - block)[:2] / (np.linalg.norm((goal - block)[:2]) + 1e-6)
-    behind = block[:2] - 0.07 * way
-    off_line = np.linalg.norm(grip[:2] - behind)
-    action = np.zeros(4)
-    if np.dot(grip[:2] - block[:2], way) > -0.05 or off_line > 0.05:
-        action[:2] = 15 * (behind - grip[:2])
-        action[2] = 15 * ((0.5 if off_line > 0.03 else 0.42) - grip[2])
-    else:
-        action[:2] = 10 * (goal - block)[:2] + 5 * (behind - grip[:2])
-        action[2] = 15 * (0.42 - grip[2])
-    return np.clip(action, -1, 1)
-
-
-def test_the_block_can_be_pushed_to_the_goal() -> None:
-    env = envs.make("push", engine="native")
-    step = jax.jit(jax.vmap(env.step))
-    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(3), 20))
-    for _ in range(env.episode_length):
-        observation, goal = (np.asarray(state.obs[k]) for k in ("observation", "desired_goal"))
-        actions = [scripted_push(o, g) for o, g in zip(observation, goal, strict=True)]
-        state = step(state, jnp.asarray(np.array(actions), jnp.float32))
-    assert np.mean(state.metrics["success"]) >= 0.7
-    assert np.sum(state.metrics["physics_warnings"]) == 0
+@pytest.mark.parametrize(("task", "least"), [("push", 0.8), ("pick_and_place", 0.97)])
+def test_a_controller_written_by_hand_solves_the_task(task: str, least: float) -> None:
+    assert success_rate(envs.make(task, engine="native"), task, episodes=200) >= least
 
 
 def rolled(env: FetchEnvironment, actions: jax.Array) -> jax.Array:

@@ -1,0 +1,1 @@
+"""The experiments: results, the programs that make them again, and the report."""

@@ -1,0 +1,44 @@
+"""The Fetch tasks against episodes recorded from Gymnasium-Robotics."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.fidelity import compare, difference, replay
+
+RECORDING = Path(__file__).parents[1] / "data" / "gymnasium_fetch.npz"
+
+
+@pytest.fixture(scope="module")
+def recording() -> dict[str, Any]:
+    with np.load(RECORDING) as file:
+        return dict(file)
+
+
+def test_open_loop_replay_stays_within_a_centimetre_of_the_recording(
+    recording: dict[str, Any],
+) -> None:
+    replays, _ = compare(recording)
+    assert len(replays) == 6
+    for row in replays:
+        assert row["episodes"] == 4
+        assert row["median_largest_grip_error_cm"] < 1.0, row
+        if row["kind"] == "scripted":
+            assert row["median_final_object_error_cm"] < 0.5, row
+
+
+@pytest.mark.parametrize("task", ["push", "pick_and_place"])
+def test_the_first_observation_and_the_first_steps_are_the_recorded_ones(
+    task: str, recording: dict[str, Any]
+) -> None:
+    recorded = recording[f"{task}/observation"]
+    simulated = replay(
+        task, recorded, recording[f"{task}/action"], recording[f"{task}/desired_goal"]
+    )
+    error = np.abs(difference(simulated, recorded))
+    assert error[:, 0, :9].max() < 5e-4  # positions, metres
+    assert error[:, :4, :9].max() < 5e-3
+    moved = np.linalg.norm(recorded[:, 3, :3] - recorded[:, 0, :3], axis=-1)
+    assert moved.max() > 0.03  # there was something to follow
