@@ -61,7 +61,8 @@ def learning_curves(rows: Rows) -> Figure:
         if kappa is not None and (env, her) in plain:
             curves = _curves(plain[env, her], "success_rate")
             _draw_quartiles(panel, *curves, "no CGM", "black")
-        lines = sorted(_grouped(same, _line_label).items())
+        by_rate = sorted(same, key=lambda row: (row["cgm"], row["c_g"]))
+        lines = list(_grouped(by_rate, _line_label).items())
         colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, len(lines)))
         for (label, runs), colour in zip(lines, colours, strict=True):
             _draw_quartiles(panel, *_curves(runs, "success_rate"), label, colour)
@@ -84,8 +85,9 @@ def epochs_to_half(rows: Rows) -> Figure:
             _draw_epochs_over_rate(panel, kappa, kappa_rows, last)
         plain = [r for r in rows if not r["cgm"] and (r["env"], r["her"]) == (env, her)]
         if plain and same[0]["cgm"]:
-            median = np.minimum(_epochs_to_half(plain)[1], last)
-            panel.axhline(median, color="black", linestyle="-.", label="no CGM")
+            median = _epochs_to_half(plain)[1]
+            label = "no CGM" if np.isfinite(median) else "no CGM (not reached)"
+            panel.axhline(min(median, last), color="black", linestyle="-.", label=label)
         panel.axhline(last, color="grey", linewidth=0.8, linestyle=":")
         panel.annotate(
             f"not within {last} epochs (open)",

@@ -43,7 +43,7 @@ def build_groups(preset: str, options: Grid) -> list[Group]:
 
     Raises:
         SettingError: an empty list, several values of a static setting other than `env`, a
-            value out of range, or the same value twice.
+            value out of range, the same value twice, or runs that would share a name.
     """
     groups = []
     for env in _values({**preset_grid(preset), **options}, "env", Settings.env):
