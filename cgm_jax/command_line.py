@@ -85,7 +85,7 @@ def seed_values(options: Any, grid: Grid) -> Grid:
     if "seed" in grid:
         raise SettingError("seeds: give either --seeds (how many) or --seed (which), not both")
     if not 1 <= options.seeds <= 10**6:
-        raise SettingError(f"seeds: {options.seeds} is not within [1, 1e+06]")
+        raise SettingError(f"seeds: {options.seeds} is not within [1, 1000000]")
     return {**grid, "seed": list(range(options.seeds))}
 
 

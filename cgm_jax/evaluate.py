@@ -31,9 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     if not 1 <= options.episodes <= 10**6:
-        raise SettingError(f"episodes: {options.episodes} is not within [1, 1e+06]")
+        raise SettingError(f"episodes: {options.episodes} is not within [1, 1000000]")
     if not 0 <= options.seed < 2**31:
-        raise SettingError(f"seed: {options.seed} is not within [0, 2^31)")
+        raise SettingError(f"seed: {options.seed} is not within [0, 2147483647]")
     prepare_jax()
     from cgm_jax.evaluation import evaluate_directory
     from cgm_jax.run_directory import RunDirectory

@@ -7,7 +7,7 @@ their environments land in one call, which MuJoCo spreads over its thread pool, 
 at any number of threads.
 
 `buffer_callback` hands numpy views of XLA's own buffers to Python; `pure_callback` copies
-them through JAX arrays, which costs fifteen times as much per call.
+them through JAX arrays, which costs about ten times as much per call.
 """
 
 # mujoco's compiled modules come without stubs.
