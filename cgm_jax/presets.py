@@ -8,9 +8,10 @@ from typing import Any
 
 Grid = dict[str, list[Any]]
 
-# Where network updates are the cost: half the batch, and targets that creep at every update
-# instead of jumping once per cycle.
+# Where network updates are the cost: half the batch, targets that creep at every update instead
+# of jumping once per cycle, and hindsight only where something moved.
 _CPU: Grid = {
+    "her_filter": [True],
     "cycles_per_epoch": [25],
     "batch_size": [512],
     "target_update_every": [1],

@@ -3,6 +3,10 @@
 Andrychowicz et al. (2017), strategy "future": a relabelled transition at step t gets the goal
 achieved at a uniformly drawn later step t' of {t+1..T}, with the full mask. The others keep
 their episode's own goal and mask.
+
+With the filter on, only episodes that moved the achieved goal are relabelled. In the others every
+hindsight goal is achieved from the start by doing nothing, and early on, while an arm has yet to
+find its block, they are nearly all there is.
 """
 
 import jax
@@ -11,6 +15,10 @@ from flax import struct
 
 from cgm_jax.masking import apply_mask, masked_distance
 from cgm_jax.replay import Replay, size
+
+LEAST_MOTION = 0.05
+"""An episode moved its achieved goal if it strayed farther than this share of the distance
+threshold from where it began."""
 
 
 class Transitions(struct.PyTreeNode):
@@ -37,15 +45,20 @@ def sample_transitions(
     count: int,
     *,
     her_probability: jax.Array,
+    her_filter: jax.Array,
     distance_threshold: float,
 ) -> Transitions:
     """Draw transitions uniformly from the ring, and relabel each with probability k / (k + 1).
+
+    With the filter, those to relabel come uniformly from the episodes that moved the achieved
+    goal, while there is one.
 
     Args:
         key: consumed.
         replay: holds at least one episode.
         count: how many.
         her_probability: chance of relabelling, scalar; 0 is DDPG without HER.
+        her_filter: whether to relabel only episodes that moved the achieved goal, bool scalar.
         distance_threshold: a goal is achieved closer than this.
 
     Returns:
@@ -54,14 +67,19 @@ def sample_transitions(
     episodes = replay.episodes
     episode_length = episodes.action.shape[1]
     uniform = jax.random.uniform(key, (4, count))
-    episode = _integer_below(jnp.maximum(size(replay), 1), uniform[0])
+    relabel = uniform[3] < her_probability
+    eligible = _moved(replay, LEAST_MOTION * distance_threshold) & her_filter
+    episode = jnp.where(
+        relabel & eligible.any(),
+        _drawn_among(eligible, uniform[0]),
+        _integer_below(jnp.maximum(size(replay), 1), uniform[0]),
+    )
     step = _integer_below(episode_length, uniform[1])
     future = step + 1 + _integer_below(episode_length - step, uniform[2])
-    relabel = uniform[3, :, None] < her_probability
 
     hindsight_goal = episodes.achieved_goal[episode, future]
-    goal = jnp.where(relabel, hindsight_goal, episodes.desired_goal[episode])
-    mask = jnp.where(relabel, 1.0, episodes.mask[episode])
+    goal = jnp.where(relabel[:, None], hindsight_goal, episodes.desired_goal[episode])
+    mask = jnp.where(relabel[:, None], 1.0, episodes.mask[episode])
     achieved, next_achieved = (episodes.achieved_goal[episode, step + i] for i in (0, 1))
     distance = masked_distance(goal, mask, next_achieved)
     return Transitions(
@@ -72,6 +90,19 @@ def sample_transitions(
         next_observation=episodes.observation[episode, step + 1],
         next_goal=apply_mask(goal, mask, next_achieved),
     )
+
+
+def _moved(replay: Replay, distance: float) -> jax.Array:
+    """Whether the achieved goal of each episode in the ring [C] strayed from where it began."""
+    goals = replay.episodes.achieved_goal
+    strayed = jnp.linalg.norm(goals[:, 1:] - goals[:, :1], axis=-1).max(axis=1) > distance
+    return strayed & (jnp.arange(len(strayed)) < size(replay))
+
+
+def _drawn_among(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
+    """Turn numbers uniform in [0, 1) into indices, uniform among those that are eligible."""
+    count = jnp.cumsum(eligible)
+    return jnp.searchsorted(count, 1 + _integer_below(count[-1], uniform))
 
 
 def _integer_below(bound: int | jax.Array, uniform: jax.Array) -> jax.Array:

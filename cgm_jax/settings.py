@@ -35,6 +35,7 @@ class Hyperparameters:
     cgm: bool = _setting(True, "curriculum goal masking; off: always the full goal")
     her: bool = _setting(True, "hindsight experience replay; off: only original goals")
     her_k: float = _setting(6.0, "relabelled transitions for each original one", 0, 1e6)
+    her_filter: bool = _setting(False, "relabel only episodes that moved the achieved goal")
     actor_learning_rate: float = _setting(1e-3, "Adam step size of the actor", 0)
     critic_learning_rate: float = _setting(1e-3, "Adam step size of the critic", 0)
     discount: float = _setting(0.98, "discount factor gamma", 0, 0.9999)

@@ -213,6 +213,7 @@ class Trainer:
             state.replay,
             updates * batch_size,
             her_probability=jnp.where(hyper.her, hyper.her_k / (hyper.her_k + 1.0), 0.0),
+            her_filter=jnp.asarray(hyper.her_filter),
             distance_threshold=self.env.distance_threshold,
         )
         return jax.tree.map(

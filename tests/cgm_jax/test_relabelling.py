@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.relabelling import Transitions, sample_transitions
+from cgm_jax.relabelling import LEAST_MOTION, Transitions, sample_transitions
 from cgm_jax.replay import Episodes, Replay, empty_replay, insert
 
 EPISODES, LENGTH, GOAL = 5, 10, 3
@@ -36,6 +36,7 @@ def draw(probability: float) -> tuple[dict[str, np.ndarray], Episodes]:
         replay,
         COUNT,
         her_probability=jnp.asarray(probability),
+        her_filter=jnp.asarray(False),
         distance_threshold=THRESHOLD,
     )
     names = Transitions.__dataclass_fields__
@@ -81,6 +82,7 @@ def test_with_her_goals_come_uniformly_from_later_steps_and_rewards_follow() -> 
         replay,
         COUNT,
         her_probability=jnp.asarray(1.0),
+        her_filter=jnp.asarray(False),
         distance_threshold=THRESHOLD,
     )
     episode, step = np.asarray(transitions.observation).astype(int).T
@@ -116,7 +118,51 @@ def test_the_share_of_relabelled_transitions_is_k_of_k_plus_one(k: float) -> Non
         replay,
         COUNT,
         her_probability=jnp.asarray(k / (k + 1)),
+        her_filter=jnp.asarray(False),
         distance_threshold=THRESHOLD,
     )
     share = np.mean(np.asarray(transitions.goal)[:, 0] != 9.0)
     assert share == pytest.approx(k / (k + 1), abs=0.011)  # over four standard errors
+
+
+def draw_filtered(moved: list[bool], her_probability: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which episodes were drawn, and whether they were relabelled.
+
+    An episode that moved strays just over the least distance at a single step.
+    """
+    _, episodes = make_replay()
+    achieved = np.zeros((EPISODES, LENGTH + 1, GOAL), np.float32)
+    achieved[:, 4, 1] = LEAST_MOTION * THRESHOLD * np.where(moved, 1.01, 0.99)
+    episodes = episodes.replace(
+        achieved_goal=jnp.asarray(achieved),
+        desired_goal=jnp.full((EPISODES, GOAL), 9.0),
+        mask=jnp.ones((EPISODES, GOAL)),
+    )
+    transitions = sample_transitions(
+        jax.random.key(4),
+        insert(empty_replay(EPISODES + 3, LENGTH, 2, GOAL, 2), episodes, jnp.ones(EPISODES, bool)),
+        COUNT,
+        her_probability=jnp.asarray(her_probability),
+        her_filter=jnp.asarray(True),
+        distance_threshold=THRESHOLD,
+    )
+    return (
+        np.asarray(transitions.observation)[:, 0].astype(int),
+        np.asarray(transitions.goal)[:, 0] != 9.0,
+    )
+
+
+def test_the_filter_relabels_only_episodes_that_moved_and_those_uniformly() -> None:
+    episode, relabelled = draw_filtered([False, True, False, True, True], 0.75)
+    assert relabelled.mean() == pytest.approx(0.75, abs=0.011)
+    with_hindsight = np.bincount(episode[relabelled], minlength=EPISODES) / relabelled.sum()
+    np.testing.assert_allclose(with_hindsight, [0, 1 / 3, 0, 1 / 3, 1 / 3], atol=0.015)
+    with_own_goal = np.bincount(episode[~relabelled], minlength=EPISODES) / (~relabelled).sum()
+    np.testing.assert_allclose(with_own_goal, np.full(EPISODES, 0.2), atol=0.02)
+
+
+def test_the_filter_gives_way_while_no_episode_has_moved() -> None:
+    episode, relabelled = draw_filtered([False] * EPISODES, 1.0)
+    assert relabelled.all()
+    counts = np.bincount(episode, minlength=EPISODES + 3) / COUNT  # never an empty slot
+    np.testing.assert_allclose(counts, [0.2] * EPISODES + [0] * 3, atol=0.01)
