@@ -15,6 +15,7 @@ from cgm_jax.presets import Grid, preset_grid
 from cgm_jax.settings import Hyperparameters, SettingError, Settings, check
 
 TRACED = tuple(item.name for item in dataclasses.fields(Hyperparameters))
+CGM_ONLY = ["c_g", "kappa", "factorised"]
 HER_ONLY = ["her_k", "her_filter"]
 STATIC = tuple(item.name for item in dataclasses.fields(Settings))
 
@@ -107,8 +108,12 @@ def _runs(grid: Grid, env: str) -> tuple[Run, ...]:
 
 def _effective(hyper: Hyperparameters) -> Hyperparameters:
     """The same run with everything at its default that has no effect on it."""
-    idle = ([] if hyper.cgm else ["c_g", "kappa"]) + ([] if hyper.her else HER_ONLY)
-    return replace(hyper, **{name: getattr(Hyperparameters, name) for name in idle})
+    return replace(hyper, **{name: getattr(Hyperparameters, name) for name in _idle(hyper)})
+
+
+def _idle(hyper: Hyperparameters) -> list[str]:
+    """Settings without effect on this run."""
+    return ([] if hyper.cgm else CGM_ONLY) + ([] if hyper.her else HER_ONLY)
 
 
 def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
@@ -116,7 +121,6 @@ def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
     parts = [env.rpartition("/")[2].replace(".py:", "-"), "her" if hyper.her else "ddpg"]
     parts += [f"cgm-cg{hyper.c_g:.12g}-kappa{hyper.kappa:.12g}"] if hyper.cgm else ["full"]
     for name in swept:
-        if name in ("seed", "c_g", "kappa", "cgm", "her") or (name in HER_ONLY and not hyper.her):
-            continue
-        parts.append(f"{name.replace('_', '')}{getattr(hyper, name):.12g}")
+        if name not in ("seed", "c_g", "kappa", "cgm", "her", *_idle(hyper)):
+            parts.append(f"{name.replace('_', '')}{getattr(hyper, name):.12g}")
     return "_".join([*parts, f"seed{hyper.seed}"])

@@ -142,3 +142,23 @@ def subgoal_rates(history: SubgoalHistory, c_g: ArrayLike) -> jax.Array:
     total = jnp.sum(jnp.where(filled[:, None], history.successes, 0.0), axis=0)
     default = jnp.power(c_g, 1.0 / goal_size)
     return jnp.where(history.count > 0, total / jnp.maximum(history.count, 1), default)
+
+
+def joint_success_rates(masks: jax.Array, history: SubgoalHistory, c_g: ArrayLike) -> jax.Array:
+    """Success rate [m] of every mask, without assuming that sub-goals are independent.
+
+    Not in the paper, whose product this judges: the share of the history's rollouts that achieved
+    all kept dimensions at once. Before any evaluation it is the paper's product.
+
+    Args:
+        masks: [m, n] of 0 and 1.
+        history: outcomes of evaluation rollouts, of length h.
+        c_g: the rate aimed at, scalar in [0, 1].
+    """
+    length = history.successes.shape[0]
+    filled = jnp.arange(length) >= length - history.count
+    achieved = jnp.all((masks[:, None] == 0) | (history.successes > 0), axis=-1)  # [m, h]
+    rates = jnp.sum(achieved & filled, axis=-1) / jnp.maximum(history.count, 1)
+    return jnp.where(
+        history.count > 0, rates, mask_success_rates(masks, subgoal_rates(history, c_g))
+    )

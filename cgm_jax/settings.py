@@ -33,6 +33,7 @@ class Hyperparameters:
     c_g: float = _setting(0.1, "success rate aimed at by the mask sampler", 0, 1)
     kappa: float = _setting(32.0, "sharpness of the mask sampler; 0 is uniform", 0, 1e6)
     cgm: bool = _setting(True, "curriculum goal masking; off: always the full goal")
+    factorised: bool = _setting(True, "estimate masks as if sub-goals succeeded independently")
     her: bool = _setting(True, "hindsight experience replay; off: only original goals")
     her_k: float = _setting(6.0, "relabelled transitions for each original one", 0, 1e6)
     her_filter: bool = _setting(False, "relabel only episodes that moved the achieved goal")

@@ -21,6 +21,7 @@ from cgm_jax.exploration import Exploration, draw_exploration, explore
 from cgm_jax.masking import (
     empty_history,
     goal_masks,
+    joint_success_rates,
     mask_probabilities,
     mask_success_rates,
     record_successes,
@@ -150,7 +151,11 @@ class Trainer:
         Without CGM the full goal has probability 1.
         """
         masks = goal_masks(self._sizes[1])
-        rates = mask_success_rates(masks, subgoal_rates(state.history, hyper.c_g))
+        rates = jnp.where(
+            hyper.factorised,
+            mask_success_rates(masks, subgoal_rates(state.history, hyper.c_g)),
+            joint_success_rates(masks, state.history, hyper.c_g),
+        )
         only_full_goal = jnp.zeros(len(masks)).at[-1].set(1.0)
         probabilities = mask_probabilities(rates, hyper.c_g, hyper.kappa)
         return rates, jnp.where(hyper.cgm, probabilities, only_full_goal)

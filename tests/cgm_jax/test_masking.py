@@ -9,6 +9,7 @@ from cgm_jax.masking import (
     apply_mask,
     empty_history,
     goal_masks,
+    joint_success_rates,
     mask_probabilities,
     mask_success_rates,
     masked_distance,
@@ -130,3 +131,27 @@ def test_history_matches_a_list_of_the_last_h_valid_rollouts() -> None:
 def test_history_of_only_broken_rollouts_keeps_the_default() -> None:
     history = record_successes(empty_history(10, 2), jnp.ones((4, 2)), jnp.zeros(4, bool))
     np.testing.assert_allclose(subgoal_rates(history, 0.25), [0.5, 0.5])
+
+
+def test_joint_rates_are_shares_of_rollouts_that_achieved_all_kept_dimensions() -> None:
+    # x and y succeed together in two of four rollouts, and never alone: 0.5, not 0.25.
+    outcomes = jnp.array([[1, 1, 0], [0, 0, 1], [1, 1, 1], [0, 0, 0]])
+    history = record_successes(empty_history(10, 3), outcomes, jnp.ones(4, bool))
+    rates = joint_success_rates(goal_masks(3), history, 0.1)
+    np.testing.assert_allclose(rates, [1, 0.5, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25])
+    product = mask_success_rates(goal_masks(3), subgoal_rates(history, 0.1))
+    assert float(product[-1]) == pytest.approx(0.125)
+
+
+def test_joint_rates_start_as_the_product() -> None:
+    rates = joint_success_rates(goal_masks(3), empty_history(10, 3), 0.125)
+    np.testing.assert_allclose(rates, [1, 0.5, 0.5, 0.25, 0.5, 0.25, 0.25, 0.125], rtol=1e-6)
+
+
+@pytest.mark.parametrize("dimension", [0, 2])
+def test_joint_and_product_agree_on_single_dimensions(dimension: int) -> None:
+    outcomes = np.random.default_rng(1).integers(0, 2, (7, 3))
+    history = record_successes(empty_history(10, 3), jnp.asarray(outcomes), jnp.ones(7, bool))
+    single = jnp.zeros((1, 3)).at[0, dimension].set(1.0)
+    joint = joint_success_rates(single, history, 0.1)
+    np.testing.assert_allclose(joint, outcomes[:, dimension].mean(keepdims=True), rtol=1e-6)
