@@ -113,7 +113,12 @@ def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
     from cgm_jax.run_directory import RunDirectory
 
     if options.video is not None:
-        _check_rendering()
+        from envs.rendering import RenderingError, check_rendering
+
+        try:  # now, and not after the evaluation
+            check_rendering()
+        except RenderingError as error:
+            raise SettingError(f"video: {error}") from None
     plan = Plan(
         episodes=options.episodes,
         seed=options.seed,
@@ -125,20 +130,6 @@ def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
         return {"random": evaluate_random(Settings(env=options.env), plan)}
     assert options.directory is not None
     return evaluate_directory(RunDirectory.open(options.directory), plan, options.run)
-
-
-def _check_rendering() -> None:
-    """Find out now, and not after the evaluation.
-
-    Raises:
-        SettingError: this machine cannot render.
-    """
-    from envs.rendering import RenderingError, open_surface
-
-    try:
-        open_surface(WIDTH_STEP, WIDTH_STEP).free()
-    except RenderingError as error:
-        raise SettingError(f"video: {error}") from None
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:

@@ -109,11 +109,17 @@ def evaluate_directory(
         ]
         if not any(group.runs for group in groups):
             raise SettingError(f"run: {directory.path} holds no run {only!r}")
-    results = {}
-    for group in groups:
-        results |= _evaluate_group(group, directory, plan)
-    if not results:
+    trained = [
+        replace(group, runs=tuple(run for run in group.runs if directory.policy_path(run).exists()))
+        for group in groups
+    ]
+    # All environments first, so that what does not fit is refused before anything compiles.
+    pairs = [(planned_environment(one.settings, plan), one) for one in trained if one.runs]
+    if not pairs:
         raise SettingError(f"{directory.path} holds no policy yet")
+    results = {}
+    for env, group in pairs:
+        results |= _evaluate_group(env, group, directory, plan)
     return results
 
 
@@ -133,7 +139,7 @@ def evaluate_random(settings: Settings, plan: Plan) -> Outcome:
     @jax.jit
     def play() -> tuple[jax.Array, jax.Array, Film | None]:
         shape = (env.episode_length, plan.episodes, env.action_size)
-        # Starts and goals come from the seed's key itself, as for every policy.
+        # The seed's own key draws starts and goals, as for every policy.
         key = jax.random.fold_in(jax.random.key(plan.seed), 1)
         return _play(env, policy, plan, draw_exploration(key, shape, Hyperparameters()))
 
@@ -166,13 +172,11 @@ def goal_mask(mask: str, goal_size: int) -> np.ndarray:
     return kept
 
 
-def _evaluate_group(group: Group, directory: RunDirectory, plan: Plan) -> dict[str, Outcome]:
-    runs = [run for run in group.runs if directory.policy_path(run).exists()]
-    if not runs:
-        return {}
-    env = planned_environment(group.settings, plan)
+def _evaluate_group(
+    env: GoalEnvironment, group: Group, directory: RunDirectory, plan: Plan
+) -> dict[str, Outcome]:
     try:
-        policies = [load_policy(directory.policy_path(run)) for run in runs]
+        policies = [load_policy(directory.policy_path(run)) for run in group.runs]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
     except ValueError as error:
         raise SettingError(str(error)) from None
@@ -192,7 +196,7 @@ def _evaluate_group(group: Group, directory: RunDirectory, plan: Plan) -> dict[s
             successes=int(successes[i]),
             film=jax.tree.map(lambda leaf, i=i: leaf[i], film),
         )
-        for i, run in enumerate(runs)
+        for i, run in enumerate(group.runs)
     }
 
 

@@ -136,13 +136,12 @@ class Renderer:
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = model.camera(CAMERA).id
-        self._surface = open_surface(width, height)
+        self._surface, self._context = _open_surface(model, width, height)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         _OPEN.add(self)
         # Last registered is first called: before MuJoCo's handler takes EGL down.
         atexit.unregister(_close_all)
         atexit.register(_close_all)
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
     def frame(
         self,
@@ -220,8 +219,21 @@ class Renderer:
         self._picture.ngeom += 1
 
 
-def open_surface(width: int, height: int) -> Any:
-    """An OpenGL context: EGL, which needs no display, unless MUJOCO_GL asks for another.
+def check_rendering() -> None:
+    """Find out whether this machine can render.
+
+    Raises:
+        RenderingError: it cannot.
+    """
+    surface, context = _open_surface(mujoco.MjModel.from_xml_string("<mujoco/>"), 64, 64)
+    context.free()
+    surface.free()
+
+
+def _open_surface(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, Any]:
+    """An OpenGL context, and MuJoCo's own with what it takes to draw `model`.
+
+    By EGL, which needs no display, unless MUJOCO_GL asks for another.
 
     Raises:
         RenderingError: none can be had, because libraries or drivers are missing.
@@ -233,12 +245,12 @@ def open_surface(width: int, height: int) -> Any:
             from mujoco.rendering.classic.gl_context import GLContext
         surface = GLContext(width, height)
         surface.make_current()
+        return surface, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
     except Exception as error:  # from ImportError to OpenGL's own kinds
         reason = str(error).strip().partition("\n")[0]
         raise RenderingError(
             f"no off-screen rendering here ({type(error).__name__}: {reason}); {HOW_TO_INSTALL}"
         ) from error
-    return surface
 
 
 def _close_all() -> None:

@@ -2,14 +2,14 @@
 
 import functools
 
-from envs.rendering import RenderingError, open_surface
+from envs.rendering import RenderingError, check_rendering
 
 
 @functools.cache
 def can_render() -> bool:
     """Whether a drawing surface can be had; tests of pictures are skipped where it cannot."""
     try:
-        open_surface(64, 64).free()
+        check_rendering()
     except RenderingError:
         return False
     return True
