@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 
-.PHONY: setup sweep test test-fast lint bench lock clean
+.PHONY: setup sweep test test-fast test-sb3 lint bench lock clean
 
 setup: $(VENV)/.installed
 
@@ -23,6 +23,11 @@ test: lint
 
 test-fast: lint
 	$(RUN) -m pytest -m "not slow" $(ARGS)
+
+# Training with Stable-Baselines3 takes PyTorch, which is large and in neither setup nor lock.
+test-sb3: setup
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[sb3]"
+	$(RUN) -m pytest tests/envs/test_stable_baselines3.py $(ARGS)
 
 lint: setup
 	$(RUN) -m ruff check .

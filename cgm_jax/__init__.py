@@ -21,9 +21,15 @@ Around it, on the host:
     grid.py             from lists of values to runs, and from runs to groups that fit in memory
     sweep.py            `python -m cgm_jax.sweep`; train.py: a sweep of one; evaluate.py
     run_directory.py    config.json, metrics.jsonl, policies, figures, checkpoints
+    evaluation.py       success of exported policies; video.py films of their episodes
 
 Environments live in the package `envs`; this one knows them only through
-`envs.GoalEnvironment`.
+`envs.GoalEnvironment`. Importing the package registers the Fetch tasks with Gymnasium
+(gymnasium_names.py).
 """
+
+from cgm_jax.gymnasium_names import register_fetch as _register_fetch
+
+_register_fetch()
 
 __version__ = "0.1.0"

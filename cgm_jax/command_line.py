@@ -95,7 +95,7 @@ def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) ->
     try:
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(
-                kind, args=arguments, prog=program, config=(tyro.conf.FlagConversionOff,)
+                kind, args=arguments, prog=program, config=(tyro.conf.FlagCreatePairsOff,)
             )
     except SystemExit as end:
         if end.code == BAD_INPUT:

@@ -1,24 +1,46 @@
-"""`python -m cgm_jax.evaluate DIR`: success of trained policies, with a confidence interval."""
+"""`python -m cgm_jax.evaluate DIR`: success of trained policies, with a confidence interval.
 
-from collections.abc import Sequence
+With `--video` also as a film, and with `--random` for random actions instead of policies.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from cgm_jax.command_line import parse, run_program
-from cgm_jax.settings import SettingError
+from cgm_jax.settings import SettingError, Settings
 from cgm_jax.startup import prepare_jax
 from cgm_jax.statistics import wilson_interval
+
+if TYPE_CHECKING:
+    from cgm_jax.evaluation import Outcome
+
+VIDEO_FORMATS = (".mp4", ".gif")
+WIDTH_STEP, GREATEST_WIDTH = 64, 1280
+"""Encoders want both sides to be multiples of 16, and the height is three quarters."""
 
 
 @dataclass(kw_only=True)
 class EvaluateOptions:
-    """Run the policies of a sweep without noise, on full goals, and report their success."""
+    """Run the policies of a sweep without noise, and report their success."""
 
-    directory: Annotated[Path, tyro.conf.Positional]
+    directory: Annotated[Path | None, tyro.conf.Positional] = None
     """Directory that a sweep or a training run has written."""
+
+    run: str | None = None
+    """Evaluate only the run of this name (default: all)."""
+
+    random: bool = False
+    """Take uniformly random actions in --env instead of a directory's policies."""
+
+    env: str | None = None
+    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own."""
+
+    engine: str | None = None
+    """auto, native, mjx or warp (default: what the run was trained on; auto for --random)."""
 
     episodes: int = 200
     """Episodes per policy."""
@@ -26,32 +48,128 @@ class EvaluateOptions:
     seed: int = 1000
     """Random seed of starts and goals, the same for every policy."""
 
+    mask: str = ""
+    """Goal axes that count as achieved, such as z or xy (default: none, the full goal)."""
+
+    video: Path | None = None
+    """Film the first episodes of the best run into this file, .mp4 or .gif (Fetch only)."""
+
+    video_episodes: int = 5
+    """Episodes in the video."""
+
+    video_width: int = 640
+    """Width of the video in pixels, a multiple of 64."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
-    if not 1 <= options.episodes <= 10**6:
-        raise SettingError(f"episodes: {options.episodes} is not within [1, 1000000]")
-    if not 0 <= options.seed < 2**31:
-        raise SettingError(f"seed: {options.seed} is not within [0, 2147483647]")
+    _check(options)
     prepare_jax()
-    from cgm_jax.evaluation import evaluate_directory
+    outcomes = _evaluate(options)
+    for line in _report(outcomes, options.mask):
+        print(line)
+    if options.video is not None:
+        best = max(outcomes, key=lambda name: outcomes[name].success_rate)
+        print(_film(best, outcomes[best], len(outcomes), options.video, options))
+    return 0
+
+
+def _check(options: EvaluateOptions) -> None:
+    """Check what can be checked without JAX.
+
+    Raises:
+        SettingError: an option is out of its range, or does not go with another.
+    """
+    ranges = {"episodes": (1, 10**6), "seed": (0, 2**31 - 1), "video_episodes": (1, 1000)}
+    for name, (low, high) in ranges.items():
+        value = getattr(options, name)
+        if not low <= value <= high:
+            raise SettingError(f"{name}: {value} is not within [{low}, {high}]")
+    if options.random and (options.directory is not None or options.run is not None):
+        raise SettingError("random: goes with --env, not with a directory or a run")
+    if options.random != (options.env is not None):
+        raise SettingError("env: goes with --random, and --random needs it")
+    if not options.random and options.directory is None:
+        raise SettingError("directory: name one to evaluate its policies, or give --random --env")
+    if set(options.mask) - set("xyz") or len(set(options.mask)) < len(options.mask):
+        raise SettingError(f"mask: {options.mask!r} is not made of x, y and z, each at most once")
+    if options.video is not None:
+        _check_video(options.video, options.video_width)
+
+
+def _check_video(path: Path, width: int) -> None:
+    if path.suffix not in VIDEO_FORMATS:
+        raise SettingError(f"video: {path} ends neither in .mp4 nor in .gif")
+    if not path.parent.is_dir():
+        raise SettingError(f"video: {path.parent} is no directory")
+    if width % WIDTH_STEP or not WIDTH_STEP <= width <= GREATEST_WIDTH:
+        bounds = f"a multiple of {WIDTH_STEP} within [{WIDTH_STEP}, {GREATEST_WIDTH}]"
+        raise SettingError(f"video_width: {width} is not {bounds}")
+
+
+def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
+    from cgm_jax.evaluation import Plan, evaluate_directory, evaluate_random
     from cgm_jax.run_directory import RunDirectory
 
-    results = evaluate_directory(
-        RunDirectory.open(options.directory), options.episodes, options.seed
+    if options.video is not None:
+        from envs.rendering import RenderingError, check_rendering
+
+        try:  # now, and not after the evaluation
+            check_rendering()
+        except RenderingError as error:
+            raise SettingError(f"video: {error}") from None
+    plan = Plan(
+        episodes=options.episodes,
+        seed=options.seed,
+        mask=options.mask,
+        filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
+        engine=options.engine,
     )
-    width = max(len(name) for name in results)
-    for name, (successes, valid) in results.items():
-        if not valid:
-            print(f"{name:{width}}  no valid episode")
+    if options.env is not None:
+        return {"random": evaluate_random(Settings(env=options.env), plan)}
+    assert options.directory is not None
+    return evaluate_directory(RunDirectory.open(options.directory), plan, options.run)
+
+
+def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
+    """One line per policy."""
+    width = max(len(name) for name in outcomes)
+    goals = f", goals with {' and '.join(mask)} masked" if mask else ""
+    lines = []
+    for name, outcome in outcomes.items():
+        dropped = outcome.episodes - outcome.valid
+        note = f", {dropped} dropped for physics_warnings" if dropped else ""
+        if not outcome.valid:
+            lines.append(f"{name:{width}}  no valid episode{note}")
             continue
-        low, high = wilson_interval(successes, valid)
-        print(
-            f"{name:{width}}  {100 * successes / valid:5.1f} %  "
-            f"(95 %: {100 * low:.1f} to {100 * high:.1f}, {valid} episodes)"
+        low, high = wilson_interval(outcome.successes, outcome.valid)
+        lines.append(
+            f"{name:{width}}  {100 * outcome.success_rate:5.1f} %  "
+            f"(95 %: {100 * low:.1f} to {100 * high:.1f}, {outcome.valid} episodes{goals}{note})"
         )
-    return 0
+    return lines
+
+
+def _film(name: str, outcome: "Outcome", runs: int, path: Path, options: EvaluateOptions) -> str:
+    """Write the video, and say what is in it."""
+    from cgm_jax.video import film_frames, write_video
+    from envs.fetch import FetchEnvironment
+
+    film = outcome.film
+    assert film is not None
+    assert isinstance(outcome.env, FetchEnvironment)
+    shown = int(film.valid.sum())
+    if not shown:
+        return f"{path} is not written: no valid episode among the first {options.video_episodes}"
+    solved = int((film.achieved[:, -1] & film.valid).sum())
+    try:
+        write_video(path, film_frames(outcome.env, film, options.mask, options.video_width))
+    except OSError as error:
+        raise SettingError(f"video: cannot write {path}: {error}") from None
+    episodes = f"{shown} episode{'s' if shown > 1 else ''}"
+    which = f"{name}, the best of {runs}" if runs > 1 else name
+    return f"{path}: {episodes} of {which}; the goal is achieved in {solved}"
 
 
 if __name__ == "__main__":

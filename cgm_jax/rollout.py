@@ -1,6 +1,7 @@
 """Episodes of many environments at once, in one scan."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +26,7 @@ class Rollout(struct.PyTreeNode):
         subgoal_success: whether each dimension of the whole goal is, [E, n] bool.
         success: whether the whole goal is, [E] bool.
         valid: whether the physics held; episodes that are not valid must be dropped, [E] bool.
+        record: what `roll_out` was asked to keep of every state, leading axis [T + 1].
     """
 
     episodes: Episodes
@@ -32,6 +34,7 @@ class Rollout(struct.PyTreeNode):
     subgoal_success: jax.Array
     success: jax.Array
     valid: jax.Array
+    record: Any = None
 
 
 def roll_out(
@@ -40,6 +43,7 @@ def roll_out(
     key: jax.Array,
     masks: jax.Array,
     exploration: Exploration | None = None,
+    keep: Callable[[State], Any] = lambda _: None,
 ) -> Rollout:
     """Run one whole episode in each of E environments, from a fresh reset.
 
@@ -49,18 +53,19 @@ def roll_out(
         key: for the resets; consumed.
         masks: one goal mask per environment, [E, n].
         exploration: noise for every step, leading axes [T, E]; None for a policy without.
+        keep: from the state of all environments to what becomes of it in `Rollout.record`.
     """
     first = jax.vmap(env.reset)(jax.random.split(key, masks.shape[0]))
     goal = first.obs["desired_goal"]
 
-    def step(state: State, noise: Exploration | None) -> tuple[State, tuple[jax.Array, ...]]:
+    def step(state: State, noise: Exploration | None) -> tuple[State, tuple[Any, ...]]:
         observation, achieved = state.obs["observation"], state.obs["achieved_goal"]
         action = policy(observation, apply_mask(goal, masks, achieved), noise)
         next_state = jax.vmap(env.step)(state, action)
         warnings = next_state.metrics.get("physics_warnings", jnp.zeros(masks.shape[0]))
-        return next_state, (observation, achieved, action, warnings)
+        return next_state, (observation, achieved, action, warnings, keep(state))
 
-    last, (observation, achieved, action, warnings) = jax.lax.scan(
+    last, (observation, achieved, action, warnings, kept) = jax.lax.scan(
         step, first, exploration, length=env.episode_length
     )
     observation = jnp.concatenate([observation, last.obs["observation"][None]])
@@ -72,7 +77,9 @@ def roll_out(
         desired_goal=goal,
         mask=masks,
     )
-    return _judge(episodes, warnings.sum(axis=0), env.distance_threshold)
+    rollout = _judge(episodes, warnings.sum(axis=0), env.distance_threshold)
+    record = jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), kept, keep(last))
+    return rollout.replace(record=record)
 
 
 def _judge(episodes: Episodes, warnings: jax.Array, threshold: float) -> Rollout:

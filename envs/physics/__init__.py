@@ -1,6 +1,6 @@
 """One physics protocol, several engines.
 
-protocol.py  what an engine offers: start, advance
+protocol.py  what an engine offers: start, advance, positions
 native.py    C MuJoCo, all runs and environments in one Batch call per control step (CPU)
 mjx.py       MJX, as JAX (GPU, TPU, and the check of the others) or as Warp (NVIDIA GPU)
 choose.py    "auto" and the engines' names

@@ -4,6 +4,7 @@ import os
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from mujoco import mjx
 
@@ -69,6 +70,11 @@ class MjxPhysics:
             lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps
         )
         return self._observe(data)
+
+    def positions(self, state: PhysicsState) -> np.ndarray:
+        """Generalised positions [..., nq] of concrete states."""
+        motion: Motion = state.engine_state
+        return np.asarray(motion.positions)
 
     def _observe(self, data: mjx.Data) -> PhysicsState:
         """Bring the sensors up to the state: a step leaves them one substep behind."""

@@ -29,6 +29,7 @@ from envs.physics.protocol import PhysicsState
 from envs.scene import Scene
 
 WORDS_PER_FLOAT64 = 2
+TIME_SIZE = 1  # a state row starts with the time; the positions follow
 COUNT = 1  # Batch.warning holds, per simulation and kind, what it was last about, and a count
 # Current positions and velocities suffice for every sensor, and accelerations would cost a
 # constraint solve.
@@ -62,6 +63,11 @@ class NativePhysics:
         """Pursue the target for one control step (0.04 s)."""
         command = jnp.concatenate(target)
         return self._call(self._advance, state.engine_state, command)
+
+    def positions(self, state: PhysicsState) -> np.ndarray:
+        """Generalised positions [..., nq], float64, of concrete states."""
+        rows = np.asarray(state.engine_state).view(np.float64)
+        return rows[..., TIME_SIZE : TIME_SIZE + self._model.nq]
 
     def _call(self, function: Any, *arguments: jax.Array) -> PhysicsState:
         """Run a host function on the buffers of all vmapped simulations at once."""

@@ -3,6 +3,7 @@
 from typing import Any, Protocol
 
 import jax
+import numpy as np
 from flax import struct
 
 from envs.mocap_controller import ControlTarget
@@ -38,4 +39,11 @@ class Physics(Protocol):
 
     def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
         """Pursue the target for one control step (0.04 s)."""
+        ...
+
+    def positions(self, state: PhysicsState) -> np.ndarray:
+        """Generalised positions [..., nq] of concrete states with leading axes [...].
+
+        On the host and outside of any traced function, for renderers and analysis.
+        """
         ...

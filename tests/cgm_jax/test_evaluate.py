@@ -1,0 +1,226 @@
+"""Evaluation of policies whose behaviour is known, and films of it."""
+
+# pyright: reportAttributeAccessIssue=false
+
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+from cgm_jax.environments import make_environment
+from cgm_jax.evaluate import _report, main
+from cgm_jax.evaluation import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.grid import Group, Run
+from cgm_jax.run_directory import RunDirectory
+from cgm_jax.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.video import write_video
+from envs.fetch import FetchEnvironment
+from tests.envs.surface import can_render
+
+REACH = Settings(env="reach", engine="native")
+
+
+def reaching_policy(gain: float) -> dict[str, np.ndarray]:
+    """One layer that moves the grip by tanh(gain * (goal - grip))."""
+    kernel = np.zeros((13, 4))
+    kernel[:3, :3], kernel[10:, :3] = -gain * np.eye(3), gain * np.eye(3)
+    arrays = {"layer_0_kernel": kernel, "layer_0_bias": np.zeros(4)}
+    for name, size in (("observation", 10), ("goal", 3)):
+        arrays |= {f"{name}_mean": np.zeros(size), f"{name}_std": np.ones(size)}
+    arrays |= {"raw_limit": np.array(200.0), "normalised_limit": np.array(5.0)}
+    return {name: array.astype(np.float32) for name, array in arrays.items()}
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    """Two runs on reach: one policy stands still, the other goes straight to the goal."""
+    directory = RunDirectory.create(tmp_path_factory.mktemp("known") / "out")
+    runs = tuple(Run(name, Hyperparameters()) for name in ("still", "straight"))
+    directory.write_config([Group(REACH, runs)], "smoke", "cpu")
+    for run, gain in zip(runs, (0.0, 15.0), strict=True):
+        directory.write_policy(run, reaching_policy(gain))
+    return directory
+
+
+def grips(film: Film) -> np.ndarray:
+    """Positions [T + 1, K, 3] of the grip, by MuJoCo itself from the filmed states."""
+    env = make_environment(REACH)
+    assert isinstance(env, FetchEnvironment)
+    data = mujoco.MjData(env.scene.model)
+    positions = env.physics.positions(film.states)
+    grips = []
+    for row in positions.reshape(-1, positions.shape[-1]):
+        data.qpos[:] = row
+        mujoco.mj_kinematics(env.scene.model, data)
+        grips.append(data.site("grip").xpos.copy())
+    return np.reshape(grips, (*positions.shape[:-1], 3))
+
+
+def test_success_is_that_of_the_policies_and_films_show_their_states(
+    directory: RunDirectory,
+) -> None:
+    outcomes = evaluate_directory(directory, Plan(episodes=40, seed=3, filmed=25))
+    assert list(outcomes) == ["still", "straight"]
+    straight, still = outcomes["straight"], outcomes["still"]
+    assert (straight.valid, straight.successes) == (40, 40)
+    assert still.successes < 15
+    assert straight.film is not None
+    goals = np.asarray(straight.film.desired_goal)
+    distance = np.linalg.norm(grips(straight.film) - goals, axis=-1)
+    assert distance.shape == (51, 25)
+    np.testing.assert_array_equal(straight.film.achieved, distance.T < 0.05)
+
+
+def test_success_under_a_mask_is_that_of_the_kept_axes(directory: RunDirectory) -> None:
+    plan = Plan(episodes=60, seed=3, mask="xz", filmed=60)
+    still = evaluate_directory(directory, plan, only="still")["still"]
+    assert still.film is not None
+    offset = grips(still.film)[-1] - np.asarray(still.film.desired_goal)
+    achieved = np.abs(offset[:, 1]) < 0.05
+    assert still.successes == achieved.sum()
+    assert 5 < achieved.sum() < 40
+    np.testing.assert_array_equal(still.film.achieved[:, -1], achieved)
+    everything = evaluate_directory(directory, Plan(episodes=9, seed=3, mask="yxz"), "still")
+    assert everything["still"].successes == 9
+
+
+def test_random_actions_are_uniform_and_follow_the_seed() -> None:
+    first = evaluate_random(REACH, Plan(episodes=30, seed=0, filmed=30)).film
+    again = evaluate_random(REACH, Plan(episodes=30, seed=0, filmed=30)).film
+    other = evaluate_random(REACH, Plan(episodes=30, seed=1, filmed=30)).film
+    assert first is not None
+    assert again is not None
+    assert other is not None
+    np.testing.assert_array_equal(first.states.sensors, again.states.sensors)
+    assert np.abs(first.desired_goal - other.desired_goal).max() > 0.01
+    steps = np.diff(grips(first), axis=0)[:, :, :2]
+    # A full action moves the grip by about 3.2 cm; uniform ones have 1 / sqrt(3) of that.
+    assert np.std(steps) == pytest.approx(0.032 / np.sqrt(3), rel=0.15)
+    assert np.abs(steps.mean()) < 0.002
+
+
+def test_dropped_episodes_and_masks_are_said() -> None:
+    env = make_environment(REACH)
+    outcomes = {
+        "some": Outcome(env, episodes=10, valid=8, successes=4, film=None),
+        "none": Outcome(env, episodes=10, valid=0, successes=0, film=None),
+        "all": Outcome(env, episodes=10, valid=10, successes=10, film=None),
+    }
+    assert _report(outcomes, "xz") == [
+        "some   50.0 %  (95 %: 21.5 to 78.5, 8 episodes, goals with x and z masked, "
+        "2 dropped for physics_warnings)",
+        "none  no valid episode, 10 dropped for physics_warnings",
+        "all   100.0 %  (95 %: 72.2 to 100.0, 10 episodes, goals with x and z masked)",
+    ]
+    assert _report({"all": outcomes["all"]}, "") == [
+        "all  100.0 %  (95 %: 72.2 to 100.0, 10 episodes)"
+    ]
+
+
+@pytest.mark.skipif(not can_render(), reason="this machine has no off-screen rendering")
+def test_the_program_films_the_best_run(
+    directory: RunDirectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "out.gif"
+    options = ["--episodes", "8", "--video", str(path), "--video-episodes", "1"]
+    assert main([str(directory.path), *options, "--video-width", "64", "--mask", "y"]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line == f"{path}: 1 episode of straight, the best of 2; the goal is achieved in 1"
+    with Image.open(path) as film:
+        assert film.size == (64, 48)
+        durations = []
+        for frame in range(film.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
+            film.seek(frame)
+            durations.append(film.info["duration"])
+    # 51 states, of which the last stands for 12 frames.
+    assert sum(durations) == (51 + 11) * 40
+
+
+COLOURS = np.array([[200, 30, 30], [30, 160, 30], [30, 30, 200]], np.uint8)
+
+
+@pytest.mark.parametrize("suffix", ["gif", "mp4"])
+def test_videos_hold_the_pictures_in_real_time(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"film.{suffix}"
+    frames = [np.broadcast_to(colour, (48, 64, 3)) for colour in COLOURS for _ in range(25)]
+    write_video(path, iter(frames))
+    if suffix == "gif":
+        with Image.open(path) as film:
+            shown = []
+            for frame in range(film.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
+                film.seek(frame)
+                colour = np.asarray(film.convert("RGB"))[20, 30]
+                shown += [colour] * (film.info["duration"] // 40)
+    else:
+        decode = ["-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+        result = subprocess.run(
+            [imageio_ffmpeg.get_ffmpeg_exe(), *decode], capture_output=True, check=True
+        )
+        assert b"64x48" in result.stderr
+        assert b" 25 fps" in result.stderr
+        shown = np.frombuffer(result.stdout, np.uint8).reshape(-1, 48, 64, 3)[:, 20, 30]
+    assert len(shown) == 75
+    expected = np.repeat(COLOURS, 25, axis=0).astype(int)
+    assert np.abs(np.asarray(shown) - expected).max() < 12
+
+
+def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    (tmp_path / "taken.mp4").mkdir()
+    with pytest.raises(OSError, match="Is a directory"):
+        write_video(tmp_path / "taken.mp4", [np.zeros((48, 64, 3), np.uint8)] * 500)
+
+
+BAD_INPUT = {
+    "": "directory: name one",
+    "runs --random --env reach": "random: goes with --env, not with a directory",
+    "--random": "env: goes with --random",
+    "runs --env reach": "env: goes with --random",
+    "--random --env slide": "env: unknown environment 'slide'",
+    "--random --env reach --engine bullet": "engine: unknown engine 'bullet'",
+    "--random --env reach --mask xq": "mask: 'xq' is not made of x, y and z",
+    "--random --env reach --mask xx": "mask: 'xx' is not made of x, y and z",
+    "--random --env reach --episodes 0": "episodes: 0 is not within [1, 1000000]",
+    "--random --env reach --video out.avi": "video: out.avi ends neither in .mp4 nor in .gif",
+    "--random --env reach --video nowhere/out.gif": "video: nowhere is no directory",
+    "--random --env reach --video a.gif --video-width 100": "video_width: 100 is not a multiple",
+    "--random --env tests/examples/point_mass.py:PointMass --mask z": "have no z",
+    "--random --env tests/examples/point_mass.py:PointMass --video a.gif": "only the Fetch tasks",
+}
+
+
+@pytest.mark.parametrize("arguments", BAD_INPUT)
+def test_bad_input_is_refused_by_name(arguments: str) -> None:
+    if "PointMass --video" in arguments and not can_render():
+        pytest.skip("this machine has no off-screen rendering")
+    with pytest.raises(SettingError) as refusal:
+        main(arguments.split())
+    assert BAD_INPUT[arguments] in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_unknown_runs_are_refused(directory: RunDirectory) -> None:
+    with pytest.raises(SettingError, match="holds no run 'fast'"):
+        main([str(directory.path), "--run", "fast"])
+
+
+def test_a_machine_that_cannot_render_says_what_to_install(tmp_path: Path) -> None:
+    video = tmp_path / "out.mp4"
+    result = subprocess.run(
+        [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", "reach", "--video", video],
+        env={"PYOPENGL_PLATFORM": "none of them", "HOME": str(tmp_path), "JAX_PLATFORMS": "cpu"},
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: video: no off-screen rendering here")
+    assert line.endswith("apt-get install -y libegl1 libgl1-mesa-dri")
+    assert not video.exists()

@@ -1,0 +1,15 @@
+"""Whether this machine can draw."""
+
+import functools
+
+from envs.rendering import RenderingError, check_rendering
+
+
+@functools.cache
+def can_render() -> bool:
+    """Whether a drawing surface can be had; tests of pictures are skipped where it cannot."""
+    try:
+        check_rendering()
+    except RenderingError:
+        return False
+    return True
