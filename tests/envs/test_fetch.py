@@ -12,7 +12,8 @@ import envs
 from envs.fetch import FetchEnvironment
 from envs.mocap_controller import ControlTarget
 from envs.physics.native import NativePhysics
-from tests.envs.scripted import success_rate
+from tests.envs.measures import success, warnings
+from tests.envs.scripted import CONTROLLERS, Player
 
 GRIP_HOME = {
     "push": (1.3455, 0.7490, 0.4136),
@@ -97,9 +98,12 @@ def test_success_and_reward_are_those_of_the_threshold() -> None:
     assert float(away.reward) == -1.0
 
 
-@pytest.mark.parametrize(("task", "least"), [("push", 0.8), ("pick_and_place", 0.97)])
-def test_a_controller_written_by_hand_solves_the_task(task: str, least: float) -> None:
-    assert success_rate(envs.make(task, engine="native"), task, episodes=200) >= least
+@pytest.mark.parametrize("task", ["push", "pick_and_place"])
+def test_a_controller_written_by_hand_solves_the_task(task: str) -> None:
+    states = Player(envs.make(task, engine="native")).play(CONTROLLERS[task], 500)
+    assert warnings(states) == 0
+    assert success(states[:1]).mean() < 0.2  # of starts that need nothing done
+    assert success(states).mean() >= 0.97
 
 
 def rolled(env: FetchEnvironment, actions: jax.Array) -> jax.Array:
