@@ -26,10 +26,11 @@ class WeldTerm:
         """Look the weld up.
 
         Raises:
-            ValueError: the model's equality constraints are not one weld to a mocap body.
+            ValueError: its equality constraints are not one weld, of a mocap body to another.
         """
-        if list(model.eq_type) != [mujoco.mjtEq.mjEQ_WELD]:
-            raise ValueError("scene: its equality constraints are not a single weld")
+        body_type = mujoco.mjtObj.mjOBJ_BODY
+        if list(model.eq_type) != [mujoco.mjtEq.mjEQ_WELD] or model.eq_objtype[0] != body_type:
+            raise ValueError("scene: its equality constraints are not a single weld of bodies")
         still, self._body = int(model.eq_obj1id[0]), int(model.eq_obj2id[0])
         if model.body_mocapid[still] < 0:
             raise ValueError("scene: the first body of its weld is not a mocap body")
@@ -63,6 +64,7 @@ class WeldTerm:
         conj(q) q_still [3], with q' = w q / 2 and q'' = w' q / 2 + w q' / 2 for angular velocity w.
         """
         rotation = data.xmat[self._body]
+        # MJX refers spatial velocities to the centre of mass of the whole tree.
         offset = data.xpos[self._body] + rotation @ self._anchor - data.subtree_com[self._root]
         spin, drift = jnp.split(data.cvel[self._body], 2)
         velocity = drift + jnp.cross(spin, offset)
