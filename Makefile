@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 
-.PHONY: setup sweep test test-fast test-sb3 lint bench lock clean
+.PHONY: setup sweep test test-fast test-sb3 lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -37,6 +37,15 @@ lint: setup
 bench: setup
 	$(RUN) -m cgm_jax.benchmark $(ARGS)
 
+# Trained policies in Gymnasium-Robotics, whose MuJoCo is older and so has an environment of its own.
+transfer: setup $(VENV)-transfer/.installed
+	$(RUN) experiments/transfer.py $(ARGS)
+
+$(VENV)-transfer/.installed: experiments/transfer-requirements.txt
+	$(PYTHON) -m venv $(VENV)-transfer
+	$(VENV)-transfer/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	touch $@
+
 # Resolves pyproject.toml anew; commit the result.
 lock:
 	$(PYTHON) -m venv $(VENV)-lock
@@ -46,4 +55,4 @@ lock:
 	rm -rf $(VENV)-lock
 
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-transfer .pytest_cache .ruff_cache

@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from rich.columns import Columns
@@ -90,3 +90,14 @@ def summary_lines(success: Sequence[tuple[str, float]]) -> list[str]:
     ordered = sorted(success, key=lambda entry: -np.nan_to_num(entry[1]))
     width = max(len(name) for name, _ in ordered)
     return [f"{name:{width}}  {_percent(rate):>5}" for name, rate in ordered]
+
+
+def physics_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How many episodes broken physics cost, from the rows of metrics.jsonl; no line if none."""
+    dropped: dict[str, int] = {}
+    for row in rows:
+        dropped[row["run"]] = dropped.get(row["run"], 0) + int(row["physics_warnings"])
+    if not (total := sum(dropped.values())):
+        return []
+    worst = max(dropped, key=lambda run: dropped[run])
+    return [f"physics broke in {total} episodes, which were dropped; most in {worst}"]

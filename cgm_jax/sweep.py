@@ -59,7 +59,7 @@ def train_groups(groups: list[Group], options: Any) -> int:
     import jax
 
     from cgm_jax.figures import draw_figures
-    from cgm_jax.progress import SweepProgress, summary_lines
+    from cgm_jax.progress import SweepProgress, physics_lines, summary_lines
     from cgm_jax.runner import plan_jobs, run_job
 
     jobs, notes = plan_jobs(groups)
@@ -77,7 +77,8 @@ def train_groups(groups: list[Group], options: Any) -> int:
         print(f"stopped; what was done so far is in {out}", file=sys.stderr)
         return STOPPED
     draw_figures(directory)
-    print("\n".join(summary_lines(list(success.items()))))
+    lines = summary_lines(list(success.items())) + physics_lines(directory.metrics())
+    print("\n".join(lines))
     print(f"{time.monotonic() - started:.0f} s; figures in {out / 'figures'}")
     return 0
 

@@ -90,12 +90,8 @@ class FetchEnvironment(Env):
     def step(self, state: State, action: jax.Array) -> State:
         """Advance by one control step of 0.04 s with `action` [4] in [-1, 1]."""
         physics_state: PhysicsState = state.pipeline_state  # pyright: ignore[reportAssignmentType]
-        target = control_target(
-            action,
-            self._gripper(physics_state),
-            pose_lag=self.task.pose_lag,
-            compensate_weld=self.physics.weld_drifts,
-        )
+        gripper = self._gripper(physics_state)
+        target = control_target(action, gripper, pose_lag=self.task.pose_lag)
         return self._state(self.physics.advance(physics_state, target), state.obs["desired_goal"])
 
     def sample_object(self, key: jax.Array) -> jax.Array:

@@ -47,13 +47,7 @@ class Gripper(NamedTuple):
     finger_positions: jax.Array
 
 
-def control_target(
-    action: jax.Array,
-    gripper: Gripper,
-    *,
-    pose_lag: float = 0.0,
-    compensate_weld: bool = False,
-) -> ControlTarget:
+def control_target(action: jax.Array, gripper: Gripper, *, pose_lag: float = 0.0) -> ControlTarget:
     """Turn an action into the pose that the gripper is dragged towards.
 
     Args:
@@ -61,15 +55,13 @@ def control_target(
             finger command, an opening relative to the present one.
         gripper: where it is.
         pose_lag: age in seconds of the gripper position that the displacement counts from.
-        compensate_weld: whether the engine's weld has the term that `weld_drift` undoes.
 
     Returns:
         The target of this control step.
     """
     action = jnp.clip(action, -1.0, 1.0)
     displacement = METRES_PER_ACTION * action[:3] - pose_lag * gripper.velocity
-    if compensate_weld:
-        displacement -= weld_drift(action[:3])
+    displacement -= weld_drift(action[:3])
     downward = jnp.asarray(DOWNWARD, dtype=gripper.orientation.dtype)
     # q and -q are one rotation; only the sum of those on the same side pulls towards it.
     side = jnp.where(jnp.dot(gripper.orientation, downward) < 0.0, -1.0, 1.0)

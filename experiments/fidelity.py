@@ -9,6 +9,7 @@ per observation entry, relative to the entry's standard deviation in the recordi
 
 import csv
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import envs
+from envs.fetch import FetchEnvironment
 
 ENTRIES = [
     *(f"grip_{axis}" for axis in "xyz"),
@@ -30,23 +32,44 @@ ENTRIES = [
     *("right_finger_velocity", "left_finger_velocity"),
 ]
 EULER = slice(11, 14)
+KINDS = ("random", "smooth", "scripted")
 
 
-def replay(task: str, recorded: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """Observations [episodes, 51, 25] of the recorded episodes' actions, simulated here."""
-    env = envs.make(task, engine="native")
+Replay = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def replayer(env: FetchEnvironment) -> Replay:
+    """Build a program that replays recorded episodes in `env`.
+
+    Returns:
+        A function from the episodes' observations [E, 51, 25], actions [E, 50, 4] and goals
+        [E, 3] to the observations [E, 51, 25] of the same actions here.
+    """
 
     def step(state: Any, action: jax.Array) -> tuple[Any, jax.Array]:
         state = jax.vmap(env.step)(state, action)
         return state, state.obs["observation"]
 
     @jax.jit
-    def run() -> jax.Array:
-        state = jax.vmap(env.reset_to)(jnp.asarray(recorded[:, 0, 3:5]), jnp.asarray(goals))
-        rest = jax.lax.scan(step, state, jnp.asarray(actions.swapaxes(0, 1)))[1]
+    def run(object_xy: jax.Array, actions: jax.Array, goals: jax.Array) -> jax.Array:
+        state = jax.vmap(env.reset_to)(object_xy, goals)
+        rest = jax.lax.scan(step, state, actions)[1]
         return jnp.concatenate([state.obs["observation"][None], rest])
 
-    return np.asarray(run()).swapaxes(0, 1)
+    def replay(recorded: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        arrays = (recorded[:, 0, 3:5], actions.swapaxes(0, 1), goals)
+        return np.asarray(run(*(jnp.asarray(array, jnp.float32) for array in arrays))).swapaxes(
+            0, 1
+        )
+
+    return replay
+
+
+def replay_task(task: str, recording: Any, replay: Replay) -> np.ndarray:
+    """Observations [episodes, 51, 25] of a task's recorded actions, simulated here."""
+    return replay(
+        *(recording[f"{task}/{name}"] for name in ("observation", "action", "desired_goal"))
+    )
 
 
 def difference(simulated: np.ndarray, recorded: np.ndarray) -> np.ndarray:
@@ -56,24 +79,26 @@ def difference(simulated: np.ndarray, recorded: np.ndarray) -> np.ndarray:
     return result
 
 
+def errors(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Largest grip error and final object error [E] (metres) of differences [E, 51, 25]."""
+    grip = np.linalg.norm(error[..., :3], axis=-1).max(axis=1)
+    return grip, np.linalg.norm(error[:, -1, 3:6], axis=-1)
+
+
 def compare(recording: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of both tables."""
     replays, entries = [], []
     for task in ("push", "pick_and_place"):
         recorded = recording[f"{task}/observation"]
-        simulated = replay(
-            task, recorded, recording[f"{task}/action"], recording[f"{task}/desired_goal"]
-        )
+        simulated = replay_task(task, recording, replayer(envs.make(task, engine="native")))
         error = difference(simulated, recorded)
-        for kind in ("random", "smooth", "scripted"):
-            chosen = error[recording[f"{task}/kind"] == kind]
-            grip = np.linalg.norm(chosen[..., :3], axis=-1).max(axis=1)
-            block = np.linalg.norm(chosen[:, -1, 3:6], axis=-1)
+        for kind in KINDS:
+            grip, block = errors(error[recording[f"{task}/kind"] == kind])
             replays.append(
                 {
                     "task": task,
                     "kind": kind,
-                    "episodes": len(chosen),
+                    "episodes": len(grip),
                     "median_largest_grip_error_cm": round(100 * float(np.median(grip)), 3),
                     "median_final_object_error_cm": round(100 * float(np.median(block)), 3),
                 }

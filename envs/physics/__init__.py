@@ -3,5 +3,6 @@
 protocol.py  what an engine offers: start, advance, positions
 native.py    C MuJoCo, all runs and environments in one Batch call per control step (CPU)
 mjx.py       MJX, as JAX (GPU, TPU, and the check of the others) or as Warp (NVIDIA GPU)
+weld.py      the term of welds that MJX lacks
 choose.py    "auto" and the engines' names
 """

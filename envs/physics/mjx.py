@@ -1,15 +1,20 @@
 """MJX: MuJoCo as a JAX program (GPU, TPU, CPU), or through Warp on an NVIDIA GPU."""
 
+# mujoco's compiled modules come without stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import os
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from flax import struct
 from mujoco import mjx
 
 from envs.mocap_controller import ControlTarget
 from envs.physics.protocol import PhysicsState
+from envs.physics.weld import WeldTerm
 from envs.scene import Scene
 
 # XLA's fusion emitters on CPU take minutes to compile the vmapped kinematics of an arm and
@@ -44,11 +49,11 @@ class MjxPhysics:
         flags = os.environ.get("XLA_FLAGS", "")
         if CPU_FLAG.partition("=")[0] not in flags:
             os.environ["XLA_FLAGS"] = f"{flags} {CPU_FLAG}".strip()
-        self.weld_drifts = implementation == "warp"  # Warp follows C MuJoCo; MJX has no such term
         self._blocked = jnp.asarray(scene.blocked_addresses, jnp.int32)
         self._substeps = scene.substeps
         self._model = mjx.put_model(scene.model, impl=implementation)
         self._blank = mjx.make_data(scene.model, impl=implementation)
+        self._weld_term = WeldTerm(scene.model)
 
     def start(self, positions: jax.Array) -> PhysicsState:
         """A simulation at rest at the generalised positions [nq]."""
@@ -67,7 +72,7 @@ class MjxPhysics:
             ctrl=target.finger_command,
         )
         data, _ = jax.lax.scan(
-            lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps
+            lambda data, _: (self._step(data), None), data, length=self._substeps
         )
         return self._observe(data)
 
@@ -76,6 +81,16 @@ class MjxPhysics:
         motion: Motion = state.engine_state
         return np.asarray(motion.positions)
 
+    def _step(self, data: mjx.Data) -> mjx.Data:
+        """One substep: `mjx.step`, without sensors and with the weld's missing term."""
+        if self._model.impl == mjx.Impl.WARP:
+            return mjx.step(self._model, data)
+        data = mjx.fwd_velocity(self._model, mjx.fwd_position(self._model, data))
+        data = self._weld_term.add(data)
+        for stage in (mjx.fwd_actuation, mjx.fwd_acceleration, mjx.solve, mjx.euler):
+            data = stage(self._model, data)
+        return data
+
     def _observe(self, data: mjx.Data) -> PhysicsState:
         """Bring the sensors up to the state: a step leaves them one substep behind."""
         if self._model.impl == mjx.Impl.WARP:
@@ -83,9 +98,10 @@ class MjxPhysics:
         else:
             for stage in SENSOR_STAGES:
                 data = stage(self._model, data)
-        finite = jnp.isfinite(data.qpos).all() & jnp.isfinite(data.qvel).all()
+        # The limit at which C MuJoCo warns; NaN is not below it either.
+        sound = [(jnp.abs(x) < mujoco.mjMAXVAL).all() for x in (data.qpos, data.qvel)]
         return PhysicsState(
             engine_state=Motion(data.qpos, data.qvel, data.qacc_warmstart),
             sensors=data.sensordata,
-            warnings=jnp.where(finite, 0, 1).astype(jnp.int32),
+            warnings=jnp.where(jnp.stack(sound).all(), 0, 1).astype(jnp.int32),
         )

@@ -44,7 +44,6 @@ class NativePhysics:
 
         Any number of threads gives the same bits.
         """
-        self.weld_drifts = True
         self._model = scene.model
         self._blocked = list(scene.blocked_addresses)
         self._substeps = scene.substeps

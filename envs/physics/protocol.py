@@ -25,13 +25,7 @@ class PhysicsState(struct.PyTreeNode):
 
 
 class Physics(Protocol):
-    """A physics engine: pure functions of one simulation, vmappable to any depth.
-
-    Attributes:
-        weld_drifts: whether welds have the term that `mocap_controller.weld_drift` undoes.
-    """
-
-    weld_drifts: bool
+    """A physics engine: pure functions of one simulation, vmappable to any depth."""
 
     def start(self, positions: jax.Array) -> PhysicsState:
         """A simulation at rest at the generalised positions [nq]."""
