@@ -172,7 +172,11 @@ def _filled(state: TrainingState) -> int:
 
 
 def _read(path: Path, like: TrainingState) -> Standing:
-    stored = read_shapes(path)
+    """Read a checkpoint whose checksum is right, which does not mean that it is ours."""
+    try:
+        stored = read_shapes(path)
+    except ValueError as error:
+        raise SettingError(f"resume: {error}") from None
     expected = {name: _stored_like(leaf) for name, leaf in _named_leaves(like)}
     others = {"position": ((2,), np.int64), "wall_s": ((), np.float64), "rows": (None, np.uint8)}
     if set(stored) != {*expected, *others}:
@@ -188,7 +192,7 @@ def _read(path: Path, like: TrainingState) -> Standing:
             raise _foreign(path)
     with np.load(path, allow_pickle=False) as file:
         epoch, cycle = (int(number) for number in file["position"])
-        rows = bytes(file["rows"]).decode().splitlines(keepends=True)
+        rows = _rows(path, bytes(file["rows"]))
         if min(epoch, cycle) < 0:
             raise _foreign(path)
         leaves, structure = jax.tree.flatten(like)
@@ -196,6 +200,17 @@ def _read(path: Path, like: TrainingState) -> Standing:
         restored = [_restore(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)]
         state = jax.tree.unflatten(structure, restored)
         return Standing(state, epoch, cycle, float(file["wall_s"]), rows)
+
+
+def _rows(path: Path, text: bytes) -> list[str]:
+    """Lines of metrics.jsonl, each of which must be an object."""
+    try:
+        lines = text.decode().splitlines(keepends=True)
+        if all(isinstance(json.loads(line), dict) for line in lines):
+            return lines
+    except (ValueError, RecursionError):
+        pass
+    raise _foreign(path)
 
 
 def _foreign(path: Path) -> SettingError:

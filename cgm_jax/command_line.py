@@ -25,7 +25,6 @@ DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
 
 Options = TypeVar("Options")
-Preset = Literal["smoke", "quick", "cpu", "paper"]
 Switch = Literal["on", "off"]
 
 
@@ -67,7 +66,9 @@ SettingOptions = dataclasses.make_dataclass("SettingOptions", _setting_options()
 class TrainingOptions(SettingOptions):
     """What sweep and train have in common besides the settings."""
 
-    preset: Annotated[Preset | None, tyro.conf.arg(help_behavior_hint="")] = None
+    preset: Annotated[
+        str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}", help_behavior_hint="")
+    ] = ""
     """Values to start from (default: quick for a sweep, cpu for one run)."""
 
     out: Path | None = None
@@ -93,9 +94,12 @@ class TrainingOptions(SettingOptions):
         for name in ("out", "resume"):
             if getattr(self, name) == Path():
                 raise SettingError(f"{name}: is empty")
+        if self.preset and self.preset not in PRESETS:
+            choices = ", ".join(PRESETS)
+            raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
         if self.resume is None:
             return False
-        others = [*chosen, *(name for name in ("preset", "out") if getattr(self, name) is not None)]
+        others = [*chosen, *(name for name in ("preset", "out") if getattr(self, name))]
         if others:
             raise SettingError(f"resume: goes on as it was begun, without {', '.join(others)}")
         return True
@@ -174,6 +178,3 @@ def _first_paragraph(box: str) -> str:
     return re.sub(
         r"no type matching .* could be instantiated from (.*?)\.?$", r"not understood: \1", text
     )
-
-
-assert set(PRESETS) == set(Preset.__args__)

@@ -16,10 +16,9 @@ import platform
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -199,26 +198,12 @@ def _group(entry: Any) -> Group:
     """A group of runs from its entry in the config; whatever is wrong with it raises."""
     settings = dict(entry["settings"])
     settings["hidden_layers"] = tuple(settings["hidden_layers"])
-    _check_types(Settings, settings)
     runs = []
     for values in entry["runs"]:
         hyper = {name: value for name, value in values.items() if name != "name"}
-        _check_types(Hyperparameters, hyper)
         runs.append(Run(str(values["name"]), Hyperparameters(**hyper)))
         check(runs[-1].hyper)
     return Group(Settings(**settings), tuple(runs))
-
-
-def _check_types(kind: type[Settings] | type[Hyperparameters], values: dict[str, Any]) -> None:
-    """Raise a TypeError if a value is of another type than the setting's default."""
-    for item in fields(kind):
-        value, default = values[item.name], item.default
-        allowed = (float, int, NoneType) if default is None else (type(default),)
-        allowed += (int,) if isinstance(default, float) else ()
-        if not isinstance(value, allowed) or isinstance(value, bool) != isinstance(default, bool):
-            raise TypeError(f"{item.name}: {value!r}")
-        if isinstance(value, tuple) and not all(type(width) is int for width in value):
-            raise TypeError(f"{item.name}: {value!r}")
 
 
 def _commit() -> str | None:

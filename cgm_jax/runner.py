@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from cgm_jax.checkpoint import Standing, load_checkpoint
+from cgm_jax.device_errors import device_errors
 from cgm_jax.environments import make_environment
 from cgm_jax.grid import Group, split
 from cgm_jax.interruption import Interruption
@@ -91,6 +92,7 @@ def run_jobs(
         The last row of every run; None if a signal came, and what was done is in a checkpoint.
 
     Raises:
+        DeviceError: the physics, the memory or something else below has failed.
         OSError: metrics, or a job's last checkpoint, cannot be written.
         SettingError: a checkpoint holds the state of another program.
     """
@@ -116,7 +118,10 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
     where = f"after epoch {standing.epoch}" if standing else "from the beginning"
     for note in notes:
         print(f"{note}; going on {where}", file=sys.stderr)
-    return standing or Standing(job.programs.start(hyper))
+    if standing is None:
+        with device_errors():
+            standing = Standing(jax.block_until_ready(job.programs.start(hyper)))
+    return standing
 
 
 def _train(
@@ -161,7 +166,8 @@ def _train_chunk(
     trainer = programs.trainer
     cycles = pace.next_chunk(trainer.settings.cycles_per_epoch - standing.cycle)
     began = time.monotonic()
-    standing.state = jax.block_until_ready(programs.train(standing.state, hyper, cycles))
+    with device_errors():
+        standing.state = jax.block_until_ready(programs.train(standing.state, hyper, cycles))
     seconds = time.monotonic() - began
     pace.record(cycles, seconds)
     standing.cycle += cycles
@@ -170,6 +176,7 @@ def _train_chunk(
 
 
 def _close_epoch(programs: Programs, standing: Standing, hyper: Hyperparameters) -> Metrics:
-    standing.state, metrics = jax.block_until_ready(programs.evaluate(standing.state, hyper))
+    with device_errors():
+        standing.state, metrics = jax.block_until_ready(programs.evaluate(standing.state, hyper))
     standing.epoch, standing.cycle = standing.epoch + 1, 0
     return metrics

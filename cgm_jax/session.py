@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cgm_jax.command_line import TrainingOptions
+from cgm_jax.device_errors import DeviceError
 from cgm_jax.exit_codes import ExitCode
 from cgm_jax.grid import Group
 from cgm_jax.interruption import Interruption
@@ -102,8 +103,6 @@ def _train(
     interruption: Interruption,
     checkpoint_seconds: float,
 ) -> int:
-    from jax.errors import JaxRuntimeError
-
     from cgm_jax.figures import draw_figures
     from cgm_jax.progress import SweepProgress, summary_lines
     from cgm_jax.runner import run_jobs
@@ -113,8 +112,8 @@ def _train(
     try:
         with SweepProgress(cycles) as progress:
             rows = run_jobs(jobs, directory, progress, interruption, checkpoint_seconds)
-    except JaxRuntimeError as error:
-        print(f"error: {_last_line(error)}", file=sys.stderr)
+    except DeviceError as error:
+        print(f"error: {error}", file=sys.stderr)
         print(_how_to_go_on(directory.path), file=sys.stderr)
         return ExitCode.FAILED
     if directory.metrics():
@@ -132,9 +131,3 @@ def _train(
 
 def _how_to_go_on(out: Path) -> str:
     return f"to go on: python -m cgm_jax.sweep --resume {out}"
-
-
-def _last_line(error: Exception) -> str:
-    """What went wrong below JAX: it hands on a whole traceback as text."""
-    lines = [line for line in str(error).splitlines() if line.strip()]
-    return lines[-1].strip() if lines else type(error).__name__
