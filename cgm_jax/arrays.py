@@ -33,7 +33,7 @@ def read_shapes(path: Path) -> dict[str, tuple[Shape, np.dtype[Any]]]:
         with zipfile.ZipFile(path) as archive:
             return {_name(info): _read_header(archive, info) for info in archive.infolist()}
     except Exception as error:
-        raise ValueError(f"{path}: not a readable file of arrays ({_line(error)})") from None
+        raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
 
 
 def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
@@ -49,12 +49,12 @@ def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
     shapes = read_shapes(path)
     total = sum(_bytes(*entry) for entry in shapes.values())
     if total > most_bytes:
-        raise ValueError(f"{path}: holds {total:,} bytes of arrays, more than {most_bytes:,}")
+        raise ValueError(f"{path} holds {total:,} bytes of arrays, more than {most_bytes:,}")
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in shapes}
     except Exception as error:
-        raise ValueError(f"{path}: not a readable file of arrays ({_line(error)})") from None
+        raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
 
 
 def _name(info: zipfile.ZipInfo) -> str:

@@ -137,8 +137,9 @@ class RunDirectory:
             raise self._damaged(error) from None
 
     def _damaged(self, error: Exception) -> SettingError:
+        kind = "" if isinstance(error, SettingError) else f"{type(error).__name__}: "
         text = str(error).partition("\n")[0]
-        return SettingError(f"{self.path / CONFIG} is damaged: {type(error).__name__}: {text}")
+        return SettingError(f"{self.path / CONFIG} is damaged: {kind}{text}")
 
     def append_metrics(self, rows: Sequence[str]) -> None:
         """Add lines to metrics.jsonl.

@@ -16,13 +16,13 @@ from cgm_jax.device_errors import device_errors
 from cgm_jax.environments import make_environment
 from cgm_jax.grid import Group, split
 from cgm_jax.interruption import Interruption
-from cgm_jax.memory import bytes_per_run, runs_that_fit
+from cgm_jax.memory import estimate_memory, format_bytes, runs_that_fit
 from cgm_jax.pace import Pace
 from cgm_jax.programs import Programs, make_programs, stack_runs
 from cgm_jax.progress import SweepProgress
 from cgm_jax.recorder import Recorder
 from cgm_jax.run_directory import RunDirectory
-from cgm_jax.settings import Hyperparameters
+from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Metrics, Trainer
 from cgm_jax.watchdog import watchdog
 
@@ -49,27 +49,41 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         Jobs in order, and one line per environment.
 
     Raises:
-        SettingError: an environment cannot be made.
+        SettingError: an environment cannot be made, a run does not fit into memory, or a count
+            would overflow.
     """
     jobs, notes = [], []
     for settings, same in itertools.groupby(groups, key=lambda group: group.settings):
-        programs = make_programs(Trainer(make_environment(settings), settings))
-        per_run = bytes_per_run(programs.trainer)
+        trainer = Trainer(make_environment(settings), settings)
+        _check_counters(trainer)
+        programs = make_programs(trainer)
+        estimate = estimate_memory(trainer)
         parts = list(same)
         if not planned:
             (whole,) = parts
-            parts = split(whole, runs_that_fit(per_run))
+            parts = split(whole, runs_that_fit(estimate, len(whole.runs)))
         jobs += [Job(part, programs) for part in parts]
         largest = max(len(part.runs) for part in parts)
         note = f"{settings.env}: {sum(len(part.runs) for part in parts)} runs"
         if len(parts) > 1:
             note += f", {largest} at a time,"
-        notes.append(f"{note} take {_size(largest * per_run)} ({_size(per_run)} each)")
+        notes.append(f"{note} take {format_bytes(estimate.total(largest))} of memory")
     return jobs, notes
 
 
-def _size(count: int) -> str:
-    return f"{count / 2**20:,.1f} MiB" if count < 2**30 else f"{count / 2**30:,.1f} GiB"
+def _check_counters(trainer: Trainer) -> None:
+    """Refuse to train for longer than the int32 counters of a run can count.
+
+    Raises:
+        SettingError: it would take 2^31 env_steps or updates.
+    """
+    settings = trainer.settings
+    cycles = settings.epochs * settings.cycles_per_epoch
+    steps = settings.environments * trainer.env.episode_length
+    totals = {"env_steps": cycles * steps, "updates": cycles * settings.updates_per_cycle}
+    for name, count in totals.items():
+        if count >= 2**31:
+            raise SettingError(f"epochs: {count:,} {name} in all are more than can be counted")
 
 
 def run_jobs(
