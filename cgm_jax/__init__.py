@@ -20,8 +20,18 @@ Around it, on the host:
     presets.py          smoke, quick, cpu, paper
     grid.py             from lists of values to runs, and from runs to groups that fit in memory
     sweep.py            `python -m cgm_jax.sweep`; train.py: a sweep of one; evaluate.py
+    session.py          from groups of runs to an exit code; runner.py the loop over chunks
     run_directory.py    config.json, metrics.jsonl, policies, figures, checkpoints
     evaluation.py       success of exported policies; video.py films of their episodes
+
+What keeps a sweep from losing anything:
+
+    checkpoint.py       where a group of runs stands, as checked files; recorder.py writes them
+    interruption.py     Ctrl-C and SIGTERM; lock.py: one sweep per directory
+    divergence.py       a run that diverges is frozen, the others keep their bits
+    memory.py           what a sweep will take; watchdog.py: where it stands if it hangs
+    arrays.py, files.py files of arrays from strangers; files that are whole or not there
+    device_errors.py    errors from below JAX, in one line; exit_codes.py
 
 Environments live in the package `envs`; this one knows them only through
 `envs.GoalEnvironment`. Importing the package registers the Fetch tasks with Gymnasium

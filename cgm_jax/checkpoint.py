@@ -1,54 +1,241 @@
-"""The whole training state of a group of runs, as one file of plain arrays."""
+"""Where a group of runs stands, as files that are whole, checked, and never half trusted.
 
+    group0_epoch000003_cycle000012.npz    the whole training state, and the rows of metrics.jsonl
+    group0_epoch000003_cycle000012.json   its SHA-256 and size, written last
+
+A checkpoint without its manifest was never finished. One that does not match it is damaged: it
+is set aside under a name that says so, and the one before serves.
+"""
+
+import contextlib
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cgm_jax.arrays import read_shapes, write_arrays
+from cgm_jax.files import PARTIAL, replacing
+from cgm_jax.settings import SettingError
 from cgm_jax.training_state import TrainingState
 
 KEPT = 2
+DAMAGED = ".damaged"
+RING = ".replay.episodes."
+"""Leaves of the replay ring [runs, slots, ...], of which only the filled slots are stored."""
 
 
-def save_checkpoint(directory: Path, group: int, epoch: int, state: TrainingState) -> Path:
-    """Write the state atomically and keep the group's last two checkpoints."""
-    path = directory / f"group{group}_epoch{epoch:06d}.npz"
-    partial = path.with_suffix(".partial")
-    with partial.open("wb") as file:
-        np.savez(file, **_named_arrays(state))  # pyright: ignore[reportArgumentType]
-    partial.replace(path)
-    for old in sorted(directory.glob(f"group{group}_epoch*.npz"))[:-KEPT]:
-        old.unlink()
+@dataclass
+class Standing:
+    """Where a group of runs stands.
+
+    Attributes:
+        state: training state, every leaf [runs, ...].
+        epoch: whole epochs done.
+        cycle: cycles done of the next epoch.
+        wall_s: seconds of training so far, over all processes that took part.
+        rows: its lines of metrics.jsonl so far.
+    """
+
+    state: TrainingState
+    epoch: int = 0
+    cycle: int = 0
+    wall_s: float = 0.0
+    rows: list[str] = field(default_factory=list)
+
+
+def save_checkpoint(directory: Path, group: int, standing: Standing) -> Path:
+    """Write a checkpoint and keep the group's last two.
+
+    Raises:
+        OSError: it cannot be written; the ones before are still there.
+    """
+    path = directory / f"group{group}_epoch{standing.epoch:06d}_cycle{standing.cycle:06d}.npz"
+    _manifest(path).unlink(missing_ok=True)
+    with replacing(path, durable=True) as file:
+        hashing = _HashingWriter(file)
+        write_arrays(hashing, _named_arrays(standing))  # pyright: ignore[reportArgumentType]
+    with replacing(_manifest(path), durable=True) as file:
+        entry = {"sha256": hashing.digest.hexdigest(), "bytes": hashing.written}
+        file.write(json.dumps(entry).encode())
+    _remove_old(directory, group)
     return path
 
 
-def load_checkpoint(path: Path, like: TrainingState) -> TrainingState:
-    """Read a state of the same structure as `like`, whose leaves may be mere shapes.
+def load_checkpoint(
+    directory: Path, group: int, like: TrainingState
+) -> tuple[Standing | None, list[str]]:
+    """The group's latest checkpoint that is whole.
+
+    Args:
+        directory: where checkpoints lie.
+        group: number of the group.
+        like: a state of the same structure, whose leaves may be mere shapes.
+
+    Returns:
+        Where the group stands, None if there is no whole checkpoint; and a line about each
+        damaged one, which has been set aside.
 
     Raises:
-        ValueError: the file holds another structure.
+        SettingError: the file is whole, but holds the state of another program.
     """
-    leaves, structure = jax.tree_util.tree_flatten_with_path(like)
+    notes = []
+    for path in reversed(_paths(directory, group)):
+        complaint = _damage(path)
+        if complaint is None:
+            return _read(path, like), notes
+        for part in (path, _manifest(path)):
+            with contextlib.suppress(OSError):
+                part.replace(part.with_name(part.name + DAMAGED))
+        notes.append(f"{path} is damaged ({complaint}) and set aside")
+    return None, notes
+
+
+def _paths(directory: Path, group: int) -> list[Path]:
+    """The group's finished checkpoints, oldest first."""
+
+    def position(path: Path) -> list[int]:
+        return [int(number) for number in re.findall(r"\d+", path.stem)]
+
+    paths = directory.glob(f"group{group}_epoch*_cycle*.npz")
+    return sorted((path for path in paths if _manifest(path).exists()), key=position)
+
+
+def _manifest(path: Path) -> Path:
+    return path.with_suffix(".json")
+
+
+def _remove_old(directory: Path, group: int) -> None:
+    """Remove all but the last checkpoints, and what a killed process left half written."""
+    kept = _paths(directory, group)[-KEPT:]
+    keep = {*kept, *(_manifest(path) for path in kept)}
+    for path in directory.glob(f"group{group}_epoch*"):
+        if path not in keep and path.suffix in (".npz", ".json", PARTIAL):
+            path.unlink(missing_ok=True)
+
+
+def _damage(path: Path) -> str | None:
+    """What is wrong with a checkpoint's bytes; None if they are those that were written."""
+    try:
+        manifest = json.loads(_manifest(path).read_bytes())
+        expected, size = manifest["sha256"], manifest["bytes"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return "its manifest cannot be read"
+    try:
+        if path.stat().st_size != size:
+            return f"{path.stat().st_size} bytes instead of {size}"
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        return str(error.strerror)
+    return None if digest == expected else "its checksum differs"
+
+
+class _HashingWriter:
+    """Passes bytes on to a file and hashes them. Cannot seek, so that it sees each byte once."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.digest = hashlib.sha256()
+        self.written = 0
+
+    def write(self, data: Any) -> int:
+        self.digest.update(data)
+        self.written += memoryview(data).nbytes
+        return self._file.write(data)
+
+    def flush(self) -> None:
+        self._file.flush()
+
+
+def _named_arrays(standing: Standing) -> Iterator[tuple[str, np.ndarray]]:
+    """What a checkpoint holds, one array at a time."""
+    yield "position", np.array([standing.epoch, standing.cycle], np.int64)
+    yield "wall_s", np.array(standing.wall_s)
+    yield "rows", np.frombuffer("".join(standing.rows).encode(), np.uint8)
+    filled = _filled(standing.state)
+    for name, leaf in _named_leaves(standing.state):
+        array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+        yield name, array[:, :filled] if name.startswith(RING) else array
+
+
+def _filled(state: TrainingState) -> int:
+    """Slots of the replay ring that any run has filled; the others hold zeros."""
+    slots = state.replay.episodes.mask.shape[1]
+    return min(slots, int(np.max(np.asarray(state.replay.inserted))))
+
+
+def _read(path: Path, like: TrainingState) -> Standing:
+    """Read a checkpoint whose checksum is right, which does not mean that it is ours."""
+    try:
+        stored = read_shapes(path)
+    except ValueError as error:
+        raise SettingError(f"resume: {error}") from None
+    expected = {name: _stored_like(leaf) for name, leaf in _named_leaves(like)}
+    others = {"position": ((2,), np.int64), "wall_s": ((), np.float64), "rows": (None, np.uint8)}
+    if set(stored) != {*expected, *others}:
+        raise _foreign(path)
+    for name, (shape, dtype) in {**expected, **others}.items():
+        actual, kind = stored[name]
+        if name.startswith(RING):  # any number of slots up to the ring's
+            fits = len(actual) == len(shape) and actual[1] <= shape[1]
+            fits = fits and (actual[0], *actual[2:]) == (shape[0], *shape[2:])
+        else:
+            fits = shape is None or actual == shape
+        if not fits or kind != dtype:
+            raise _foreign(path)
     with np.load(path, allow_pickle=False) as file:
-        if set(file.files) != {jax.tree_util.keystr(name) for name, _ in leaves}:
-            raise ValueError(f"{path}: holds the state of another program")
-        arrays = [_restore(file[jax.tree_util.keystr(name)], leaf) for name, leaf in leaves]
-    return jax.tree.unflatten(structure, arrays)
+        epoch, cycle = (int(number) for number in file["position"])
+        rows = _rows(path, bytes(file["rows"]))
+        if min(epoch, cycle) < 0:
+            raise _foreign(path)
+        leaves, structure = jax.tree.flatten(like)
+        names = [name for name, _ in _named_leaves(like)]
+        restored = [_restore(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)]
+        state = jax.tree.unflatten(structure, restored)
+        return Standing(state, epoch, cycle, float(file["wall_s"]), rows)
 
 
-def _named_arrays(state: TrainingState) -> dict[str, np.ndarray]:
+def _rows(path: Path, text: bytes) -> list[str]:
+    """Lines of metrics.jsonl, each of which must be an object."""
+    try:
+        lines = text.decode().splitlines(keepends=True)
+        if all(isinstance(json.loads(line), dict) for line in lines):
+            return lines
+    except (ValueError, RecursionError):
+        pass
+    raise _foreign(path)
+
+
+def _foreign(path: Path) -> SettingError:
+    return SettingError(f"resume: {path} holds the state of another program")
+
+
+def _named_leaves(state: TrainingState) -> list[tuple[str, jax.Array]]:
     leaves, _ = jax.tree_util.tree_flatten_with_path(state)
-    return {
-        jax.tree_util.keystr(name): np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
-        for name, leaf in leaves
-    }
+    return [(jax.tree_util.keystr(path), leaf) for path, leaf in leaves]
+
+
+def _stored_like(leaf: jax.Array) -> tuple[tuple[int, ...], Any]:
+    """Shape and type that a leaf has in a file; PRNG keys are stored as their words."""
+    stored = jax.eval_shape(jax.random.key_data, leaf) if _is_key(leaf) else leaf
+    return stored.shape, stored.dtype
 
 
 def _restore(array: np.ndarray, like: jax.Array) -> jax.Array:
     if _is_key(like):
         return jax.random.wrap_key_data(jnp.asarray(array))
-    return jnp.asarray(array, like.dtype)
+    if array.shape != like.shape:  # the ring, without its empty slots
+        whole = np.zeros(like.shape, like.dtype)
+        whole[:, : array.shape[1]] = array
+        array = whole
+    return jnp.array(array)  # a copy, which the programs may take over
 
 
 def _is_key(leaf: jax.Array) -> bool:

@@ -8,21 +8,23 @@ compiles.
 import contextlib
 import dataclasses
 import io
+import math
 import re
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
+from cgm_jax.exit_codes import ExitCode
 from cgm_jax.presets import PRESETS, Grid
 from cgm_jax.settings import Hyperparameters, SettingError, Settings
 
-BAD_INPUT = 2
-"""Exit code for input that is refused."""
+DEFAULT_CHECKPOINT_SECONDS = 300.0
+"""A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
 
 Options = TypeVar("Options")
-Preset = Literal["smoke", "quick", "cpu", "paper"]
 Switch = Literal["on", "off"]
 
 
@@ -58,6 +60,49 @@ def _appearance(item: "dataclasses.Field[Any]") -> Any:
 
 SettingOptions = dataclasses.make_dataclass("SettingOptions", _setting_options(), kw_only=True)
 """Base of the programs' options: all settings, as lists."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class TrainingOptions(SettingOptions):
+    """What sweep and train have in common besides the settings."""
+
+    preset: Annotated[
+        str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}", help_behavior_hint="")
+    ] = ""
+    """Values to start from (default: quick for a sweep, cpu for one run)."""
+
+    out: Path | None = None
+    """Directory for the results (default: runs/PRESET-TIME)."""
+
+    resume: Path | None = None
+    """Directory of a sweep that was stopped: go on with it; takes no settings."""
+
+    checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
+    """Least time between checkpoints; has no effect on results."""
+
+    def resumes(self, chosen: Grid) -> bool:
+        """Whether to go on with a directory, whose settings are then already chosen.
+
+        Raises:
+            SettingError: options out of their range or in contradiction.
+        """
+        if not 0.0 <= self.checkpoint_seconds < math.inf:
+            seconds = self.checkpoint_seconds
+            raise SettingError(
+                f"checkpoint_seconds: {seconds} is not a finite number of at least 0"
+            )
+        for name in ("out", "resume"):
+            if getattr(self, name) == Path():
+                raise SettingError(f"{name}: is empty")
+        if self.preset and self.preset not in PRESETS:
+            choices = ", ".join(PRESETS)
+            raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
+        if self.resume is None:
+            return False
+        others = [*chosen, *(name for name in ("preset", "out") if getattr(self, name))]
+        if others:
+            raise SettingError(f"resume: goes on as it was begun, without {', '.join(others)}")
+        return True
 
 
 def chosen_values(options: Any) -> Grid:
@@ -98,7 +143,7 @@ def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) ->
                 kind, args=arguments, prog=program, config=(tyro.conf.FlagCreatePairsOff,)
             )
     except SystemExit as end:
-        if end.code == BAD_INPUT:
+        if end.code == ExitCode.BAD_INPUT:
             refuse(_first_paragraph(complaint.getvalue()))
         raise
 
@@ -109,12 +154,14 @@ def run_program(main: Callable[[], int]) -> NoReturn:
         sys.exit(main())
     except SettingError as error:
         refuse(str(error))
+    except KeyboardInterrupt:
+        sys.exit(ExitCode.STOPPED)
 
 
 def refuse(message: str) -> NoReturn:
     """End with one line and exit code 2."""
-    print(f"error: {message}", file=sys.stderr)
-    sys.exit(BAD_INPUT)
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(ExitCode.BAD_INPUT)
 
 
 def _first_paragraph(box: str) -> str:
@@ -131,6 +178,3 @@ def _first_paragraph(box: str) -> str:
     return re.sub(
         r"no type matching .* could be instantiated from (.*?)\.?$", r"not understood: \1", text
     )
-
-
-assert set(PRESETS) == set(Preset.__args__)

@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from cgm_jax.files import replacing
 from cgm_jax.run_directory import RunDirectory
 from cgm_jax.statistics import first_to_reach
 
@@ -37,7 +38,8 @@ def draw_figures(directory: RunDirectory) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         path = directory.path / "figures" / f"{name}.png"
-        figure.savefig(path, dpi=130)
+        with replacing(path) as file:
+            figure.savefig(file, dpi=130, format="png")
         plt.close(figure)
         paths.append(path)
     return paths
@@ -46,7 +48,8 @@ def draw_figures(directory: RunDirectory) -> list[Path]:
 def learning_curves(rows: Rows) -> Figure:
     """Success rate over env_steps, a line per c_g; a panel per environment, HER and kappa.
 
-    The runs without CGM, which have no kappa, appear in every panel in black.
+    The runs without CGM, which have no kappa, appear in every panel in black. A cross marks
+    where a run diverged; from there on its curve is that of its last sound policy.
     """
     groups = _grouped(
         rows, lambda row: (row["env"], row["her"], row["kappa"] if row["cgm"] else None)
@@ -59,13 +62,12 @@ def learning_curves(rows: Rows) -> Figure:
         if kappa is not None:
             title += f", $\\kappa$ = {kappa:g}"
         if kappa is not None and (env, her) in plain:
-            curves = _curves(plain[env, her], "success_rate")
-            _draw_quartiles(panel, *curves, "no CGM", "black")
+            _draw_success(panel, plain[env, her], "no CGM", "black")
         by_rate = sorted(same, key=lambda row: (row["cgm"], row["c_g"]))
         lines = list(_grouped(by_rate, _line_label).items())
         colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, len(lines)))
         for (label, runs), colour in zip(lines, colours, strict=True):
-            _draw_quartiles(panel, *_curves(runs, "success_rate"), label, colour)
+            _draw_success(panel, runs, label, colour)
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
         panel.set_title(title)
         _label_steps(panel)
@@ -127,6 +129,23 @@ def mask_success(rows: Rows) -> Figure:
     return figure
 
 
+def _draw_success(panel: Axes, rows: Rows, label: str, colour: Any) -> None:
+    """One line of learning curves, with a cross for every run that diverged."""
+    failed = _failures(rows)
+    _draw_quartiles(panel, *_curves(rows, "success_rate"), label + _diverged(failed), colour)
+    for row in failed:
+        panel.plot(row["env_steps"], row["success_rate"] or 0.0, "x", color=colour, zorder=4)
+
+
+def _failures(rows: Rows) -> Rows:
+    """Of every run that diverged, the row of the epoch in which it did."""
+    return [row for row in rows if row.get("failed_epoch") == row["epoch"]]
+
+
+def _diverged(failed: Rows) -> str:
+    return f" ({len(failed)} diverged)" if failed else ""
+
+
 def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> None:
     """One line: quartiles over runs, at each c_g, of the epoch that first reaches 50 %."""
     points = []
@@ -135,7 +154,8 @@ def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> 
         points.append((100 * c_g, *np.minimum(quartiles, last), np.isinf(quartiles[1])))
     rates, low, median, high, unreached = np.array(points).T
     unreached = unreached.astype(bool)
-    (line,) = panel.plot(rates, median, label=f"$\\kappa$ = {kappa:g}", zorder=3)
+    label = f"$\\kappa$ = {kappa:g}{_diverged(_failures(rows))}"
+    (line,) = panel.plot(rates, median, label=label, zorder=3)
     colour = line.get_color()
     panel.plot(rates[~unreached], median[~unreached], "o", color=colour, zorder=4)
     panel.plot(rates[unreached], median[unreached], "o", color=colour, mfc="white", zorder=4)

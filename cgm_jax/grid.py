@@ -6,18 +6,25 @@ one static axis that a sweep may have: its values run one after another.
 
 import dataclasses
 import itertools
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from cgm_jax.presets import Grid, preset_grid
-from cgm_jax.settings import Hyperparameters, SettingError, Settings, check
+from cgm_jax.settings import Hyperparameters, SettingError, Settings, check_value
 
 TRACED = tuple(item.name for item in dataclasses.fields(Hyperparameters))
 CGM_ONLY = ["c_g", "kappa", "factorised"]
 HER_ONLY = ["her_k", "her_filter"]
 STATIC = tuple(item.name for item in dataclasses.fields(Settings))
+
+
+GREATEST_NUMBER_OF_RUNS = 100_000
+
+LONGEST_NAME = 200
+"""Bytes of a run's name; files may have 255, of which their endings take some."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +91,14 @@ def _values(grid: Grid, name: str, default: Any) -> Sequence[Any]:
 
 
 def _check_axis(name: str, values: Sequence[Any]) -> None:
-    if not values:
+    if not isinstance(values, list | tuple) or not values:
         raise SettingError(f"{name}: needs at least one value")
     if name in STATIC and name != "env" and len(values) > 1:
         raise SettingError(
             f"{name}: is static (it decides the compiled program), so a sweep cannot vary it"
         )
+    for value in values:
+        check_value(name, value)
     if len(set(values)) < len(values):
         raise SettingError(f"{name}: holds a value twice")
 
@@ -97,11 +106,13 @@ def _check_axis(name: str, values: Sequence[Any]) -> None:
 def _runs(grid: Grid, env: str) -> tuple[Run, ...]:
     """The product of the traced axes, less runs that differ only in what has no effect."""
     axes = [grid.get(name, [getattr(Hyperparameters, name)]) for name in TRACED]
+    if math.prod(len(axis) for axis in axes) > GREATEST_NUMBER_OF_RUNS:
+        longest = max(TRACED, key=lambda name: len(grid.get(name, ())))
+        raise SettingError(f"{longest}: more than {GREATEST_NUMBER_OF_RUNS:,} runs in one sweep")
     swept = [name for name in TRACED if len(grid.get(name, ())) > 1]
     runs: dict[Hyperparameters, Run] = {}
     for values in itertools.product(*axes):
         hyper = Hyperparameters(*values)
-        check(hyper)
         runs.setdefault(_effective(hyper), Run(_run_name(env, hyper, swept), hyper))
     return tuple(runs.values())
 
@@ -123,4 +134,7 @@ def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
     for name in swept:
         if name not in ("seed", "c_g", "kappa", "cgm", "her", *_idle(hyper)):
             parts.append(f"{name.replace('_', '')}{getattr(hyper, name):.12g}")
-    return "_".join([*parts, f"seed{hyper.seed}"])
+    name = "_".join([*parts, f"seed{hyper.seed}"])
+    if len(os.fsencode(name)) > LONGEST_NAME:
+        raise SettingError(f"env: a run's file would have too long a name, {name[:60]}...")
+    return name

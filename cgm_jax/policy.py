@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
+from cgm_jax.arrays import read_arrays
 from cgm_jax.ddpg import Parameters
 from cgm_jax.networks import Actor
 from cgm_jax.normaliser import (
@@ -18,6 +19,7 @@ from cgm_jax.normaliser import (
     network_input,
 )
 
+GREATEST_POLICY_BYTES = 2**30
 LIMITS = {"raw_limit": GREATEST_RAW_VALUE, "normalised_limit": GREATEST_NORMALISED_VALUE}
 
 
@@ -50,10 +52,9 @@ def load_policy(path: Path) -> dict[str, np.ndarray]:
         ValueError: the file is no policy: unreadable, or arrays missing or not numbers.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except Exception as error:
-        raise ValueError(f"{path}: not a readable policy file ({error})") from None
+        arrays = read_arrays(path, GREATEST_POLICY_BYTES)
+    except ValueError as error:
+        raise ValueError(f"not a readable policy file: {error}") from None
     _check_arrays(path, arrays)
     return arrays
 

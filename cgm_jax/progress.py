@@ -53,20 +53,25 @@ class SweepProgress:
         if self._console.is_terminal:
             self._live.__exit__(kind, error, trace)
 
+    def skip(self, cycles: int) -> None:
+        """So many cycles were done in an earlier process."""
+        self._bar.update(self._task, advance=cycles)
+
     def advance(self, cycles: int, env_steps: int, seconds: float) -> None:
         """A chunk is done: so many cycles, and env_steps over all runs."""
         speed = f"{env_steps / seconds:,.0f} env_steps/s"
         self._bar.update(self._task, advance=cycles, speed=speed, description="training")
         self._redraw()
 
-    def epoch(self, epoch: int, env_steps: int, success: dict[str, float]) -> None:
-        """An epoch is done: success rate per run, after env_steps of each run."""
+    def epoch(self, epoch: int, rows: Sequence[Mapping[str, Any]]) -> None:
+        """An epoch is done: its rows of metrics.jsonl."""
+        success = {row["run"]: success_of(row) for row in rows}
         self._success.update(success)
         self._redraw()
         if not self._console.is_terminal:
             rates = sorted(rate for rate in success.values() if math.isfinite(rate)) or [math.nan]
             self._console.print(
-                f"epoch {epoch}: {env_steps:,} env_steps, success median "
+                f"epoch {epoch}: {rows[0]['env_steps']:,} env_steps, success median "
                 f"{_percent(rates[len(rates) // 2])} of {len(rates)} runs "
                 f"({_percent(rates[0])} to {_percent(rates[-1])}), "
                 f"{time.monotonic() - self._started:.0f} s",
@@ -85,11 +90,22 @@ def _percent(rate: float) -> str:
     return f"{100 * rate:.0f} %" if math.isfinite(rate) else "no valid episode"
 
 
-def summary_lines(success: Sequence[tuple[str, float]]) -> list[str]:
-    """Final success per run, best first."""
-    ordered = sorted(success, key=lambda entry: -np.nan_to_num(entry[1]))
-    width = max(len(name) for name, _ in ordered)
-    return [f"{name:{width}}  {_percent(rate):>5}" for name, rate in ordered]
+def success_of(row: Mapping[str, Any]) -> float:
+    """The success rate in a row of metrics.jsonl; NaN where there was no valid episode."""
+    return math.nan if row["success_rate"] is None else row["success_rate"]
+
+
+def summary_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Final success per run, best first, from the last row of each."""
+    ordered = sorted(rows, key=lambda row: -np.nan_to_num(success_of(row)))
+    width = max(len(row["run"]) for row in rows)
+    lines = []
+    for row in ordered:
+        line = f"{row['run']:{width}}  {_percent(success_of(row)):>5}"
+        if row["failure"] is not None:
+            line += f"  diverged in epoch {row['failed_epoch']}: {row['failure']}"
+        lines.append(line)
+    return lines
 
 
 def physics_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:

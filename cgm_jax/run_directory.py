@@ -7,6 +7,7 @@ DIR/figures/*.png
 DIR/checkpoints/          the whole training state of each group
 """
 
+import contextlib
 import importlib.metadata
 import json
 import math
@@ -14,7 +15,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,8 +23,11 @@ from typing import Any
 
 import numpy as np
 
+from cgm_jax.arrays import write_arrays
+from cgm_jax.files import replacing
 from cgm_jax.grid import Group, Run
-from cgm_jax.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.lock import locked
+from cgm_jax.settings import Hyperparameters, SettingError, Settings, check
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
 METRICS = "metrics.jsonl"
@@ -37,21 +41,27 @@ class RunDirectory:
     path: Path
 
     @classmethod
-    def create(cls, path: Path) -> "RunDirectory":
-        """Claim a directory for a new sweep, before anything costly happens.
+    @contextlib.contextmanager
+    def claimed(cls, path: Path, *, fresh: bool) -> Iterator["RunDirectory"]:
+        """Make a directory, or take one up again, and lock it while the block runs.
+
+        Args:
+            path: the directory.
+            fresh: whether it must not hold a sweep yet.
 
         Raises:
-            SettingError: it holds a sweep already, or cannot be written to.
+            SettingError: it cannot be written to, another process has it, or it is not fresh.
         """
-        try:
-            if (path / CONFIG).exists() or (path / METRICS).exists():
+        with contextlib.ExitStack() as stack:
+            try:
+                for part in ("policies/improvements", "figures", "checkpoints"):
+                    (path / part).mkdir(parents=True, exist_ok=True)
+                stack.enter_context(locked(path / "lock"))
+            except OSError as error:
+                raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
+            if fresh and any((path / name).exists() for name in (CONFIG, METRICS)):
                 raise SettingError(f"out: {path} already holds a sweep; name another directory")
-            for part in ("policies", "figures", "checkpoints"):
-                (path / part).mkdir(parents=True, exist_ok=True)
-            (path / METRICS).touch()
-        except OSError as error:
-            raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
-        return cls(path)
+            yield cls(path)
 
     @classmethod
     def open(cls, path: Path) -> "RunDirectory":
@@ -60,9 +70,16 @@ class RunDirectory:
         Raises:
             SettingError: it holds none.
         """
-        if not (path / CONFIG).is_file():
+        if not cls(path).holds_sweep():
             raise SettingError(f"{path} holds no sweep: {CONFIG} is missing")
         return cls(path)
+
+    def holds_sweep(self) -> bool:
+        """Whether a sweep has been begun here."""
+        try:
+            return (self.path / CONFIG).is_file()
+        except OSError:  # such as a name that is too long
+            return False
 
     def write_config(self, groups: list[Group], preset: str, device: str) -> None:
         """Record how to run the sweep again; `device` names what JAX computes on."""
@@ -84,43 +101,110 @@ class RunDirectory:
             "flags": os.environ.get("XLA_FLAGS", ""),
             "machine": f"{platform.platform()}, {os.cpu_count()} cores",
         }
-        (self.path / CONFIG).write_text(json.dumps(config, indent=2) + "\n")
+        with replacing(self.path / CONFIG, durable=True) as file:
+            file.write((json.dumps(config, indent=2) + "\n").encode())
 
     def groups(self) -> list[Group]:
-        """The sweep's groups of runs, read back from its config."""
-        groups = []
-        for entry in json.loads((self.path / CONFIG).read_text())["groups"]:
-            settings = entry["settings"]
-            settings["hidden_layers"] = tuple(settings["hidden_layers"])
-            runs = [dict(run) for run in entry["runs"]]
-            groups.append(
-                Group(
-                    Settings(**settings),
-                    tuple(Run(run.pop("name"), Hyperparameters(**run)) for run in runs),
-                )
-            )
-        return groups
+        """The sweep's groups of runs, read back from its config.
 
-    def append_metrics(self, rows: list[dict[str, Any]]) -> None:
-        """Add one line per row; a number that does not exist (0 / 0) becomes null."""
+        Raises:
+            SettingError: the config is damaged.
+        """
+        try:
+            return [_group(entry) for entry in self._config()["groups"]]
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise self._damaged(error) from None
+
+    def other_versions(self) -> list[str]:
+        """Packages that have another version here than when the sweep began.
+
+        Raises:
+            SettingError: the config is damaged.
+        """
+        try:
+            return [
+                f"{name} {was} (now {now})"
+                for name, was in self._config()["versions"].items()
+                if name in PACKAGES and (now := importlib.metadata.version(name)) != was
+            ]
+        except (KeyError, TypeError, AttributeError) as error:
+            raise self._damaged(error) from None
+
+    def _config(self) -> Any:
+        try:
+            return json.loads((self.path / CONFIG).read_bytes())
+        except (OSError, ValueError, RecursionError) as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> SettingError:
+        kind = "" if isinstance(error, SettingError) else f"{type(error).__name__}: "
+        text = str(error).partition("\n")[0]
+        return SettingError(f"{self.path / CONFIG} is damaged: {kind}{text}")
+
+    def append_metrics(self, rows: Sequence[str]) -> None:
+        """Add lines to metrics.jsonl.
+
+        Raises:
+            OSError: they cannot be written.
+        """
         with (self.path / METRICS).open("a") as file:
-            file.writelines(json.dumps(_plain(row)) + "\n" for row in rows)
+            file.writelines(rows)
+
+    def replace_metrics(self, rows: Sequence[str]) -> None:
+        """Make these the only lines of metrics.jsonl.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        with replacing(self.path / METRICS, durable=True) as file:
+            file.writelines(row.encode() for row in rows)
 
     def metrics(self) -> list[dict[str, Any]]:
-        """All lines of metrics.jsonl."""
+        """All lines of metrics.jsonl, less one that a killed process left half written."""
         with (self.path / METRICS).open() as file:
-            return [json.loads(line) for line in file]
+            return [json.loads(line) for line in file if line.endswith("\n")]
 
     def policy_path(self, run: Run) -> Path:
         """Where a run's policy lies."""
         return self.path / "policies" / f"{run.name}.npz"
 
     def write_policy(self, run: Run, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write or replace a run's policy; a reader never sees half a file."""
-        path = self.policy_path(run)
-        partial = path.with_suffix(".partial.npz")
-        np.savez(partial, **arrays)  # pyright: ignore[reportArgumentType]
-        partial.replace(path)
+        """Write or replace a run's policy; a reader never sees half a file.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        _write_npz(self.policy_path(run), arrays)
+
+    def write_improvement(self, run: Run, epoch: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep the policy with which a run became better than ever.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        _write_npz(self.path / "policies/improvements" / f"{run.name}_epoch{epoch}.npz", arrays)
+
+
+def metrics_line(row: Mapping[str, Any]) -> str:
+    """A line of metrics.jsonl; a number that does not exist (0 / 0) becomes null."""
+    return json.dumps(_plain(dict(row))) + "\n"
+
+
+def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    with replacing(path) as file:
+        write_arrays(file, arrays.items())
+
+
+def _group(entry: Any) -> Group:
+    """A group of runs from its entry in the config; whatever is wrong with it raises."""
+    settings = dict(entry["settings"])
+    settings["hidden_layers"] = tuple(settings["hidden_layers"])
+    runs = []
+    for values in entry["runs"]:
+        hyper = {name: value for name, value in values.items() if name != "name"}
+        runs.append(Run(str(values["name"]), Hyperparameters(**hyper)))
+        check(runs[-1].hyper)
+    return Group(Settings(**settings), tuple(runs))
 
 
 def _commit() -> str | None:

@@ -1,5 +1,8 @@
 """The host loop: chunks of training on the device, files and progress in between."""
 
+import itertools
+import json
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,21 +11,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.checkpoint import save_checkpoint
+from cgm_jax.checkpoint import Standing, load_checkpoint
+from cgm_jax.device_errors import device_errors
 from cgm_jax.environments import make_environment
 from cgm_jax.grid import Group, split
-from cgm_jax.memory import bytes_per_run, runs_that_fit
+from cgm_jax.interruption import Interruption
+from cgm_jax.memory import estimate_memory, format_bytes, runs_that_fit
 from cgm_jax.pace import Pace
-from cgm_jax.policy import policy_arrays
 from cgm_jax.programs import Programs, make_programs, stack_runs
 from cgm_jax.progress import SweepProgress
+from cgm_jax.recorder import Recorder
 from cgm_jax.run_directory import RunDirectory
-from cgm_jax.settings import Hyperparameters
+from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Metrics, Trainer
-from cgm_jax.training_state import TrainingState
-
-CHECKPOINT_SECONDS = 300.0
-"""Least time between two checkpoints of a group, other than its last."""
+from cgm_jax.watchdog import watchdog
 
 
 @dataclass(frozen=True)
@@ -33,109 +35,162 @@ class Job:
     programs: Programs
 
 
-def plan_jobs(groups: Sequence[Group]) -> tuple[list[Job], list[str]]:
+def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[Job], list[str]]:
     """Build what groups need, split those that do not fit into memory, and say what they take.
 
     Parts of one group share their programs, so that equal parts compile once.
 
+    Args:
+        groups: those of one environment next to each other.
+        planned: whether they are the parts of an earlier plan. Those stay, whatever the memory
+            is today: bits depend on how many runs train side by side.
+
     Returns:
-        Jobs in order, and one line per group.
+        Jobs in order, and one line per environment.
 
     Raises:
-        SettingError: an environment cannot be made.
+        SettingError: an environment cannot be made, a run does not fit into memory, or a count
+            would overflow.
     """
     jobs, notes = [], []
-    for group in groups:
-        programs = make_programs(Trainer(make_environment(group.settings), group.settings))
-        per_run = bytes_per_run(programs.trainer)
-        parts = split(group, runs_that_fit(per_run))
+    for settings, same in itertools.groupby(groups, key=lambda group: group.settings):
+        trainer = Trainer(make_environment(settings), settings)
+        _check_counters(trainer)
+        programs = make_programs(trainer)
+        estimate = estimate_memory(trainer)
+        parts = list(same)
+        if not planned:
+            (whole,) = parts
+            parts = split(whole, runs_that_fit(estimate, len(whole.runs)))
         jobs += [Job(part, programs) for part in parts]
-        largest = len(parts[0].runs)
-        note = f"{group.settings.env}: {len(group.runs)} runs"
+        largest = max(len(part.runs) for part in parts)
+        note = f"{settings.env}: {sum(len(part.runs) for part in parts)} runs"
         if len(parts) > 1:
             note += f", {largest} at a time,"
-        notes.append(f"{note} take {_size(largest * per_run)} ({_size(per_run)} each)")
+        notes.append(f"{note} take {format_bytes(estimate.total(largest))} of memory")
     return jobs, notes
 
 
-def _size(count: int) -> str:
-    return f"{count / 2**20:,.1f} MiB" if count < 2**30 else f"{count / 2**30:,.1f} GiB"
+def _check_counters(trainer: Trainer) -> None:
+    """Refuse to train for longer than the int32 counters of a run can count.
+
+    Raises:
+        SettingError: it would take 2^31 env_steps or updates.
+    """
+    settings = trainer.settings
+    cycles = settings.epochs * settings.cycles_per_epoch
+    steps = settings.environments * trainer.env.episode_length
+    totals = {"env_steps": cycles * steps, "updates": cycles * settings.updates_per_cycle}
+    for name, count in totals.items():
+        if count >= 2**31:
+            raise SettingError(f"epochs: {count:,} {name} in all are more than can be counted")
 
 
-def run_job(
-    job: Job, index: int, directory: RunDirectory, progress: SweepProgress
-) -> dict[str, float]:
-    """Train all runs of a job side by side, and write what they give.
+def run_jobs(
+    jobs: Sequence[Job],
+    directory: RunDirectory,
+    progress: SweepProgress,
+    interruption: Interruption,
+    checkpoint_seconds: float,
+) -> list[dict[str, Any]] | None:
+    """Train all jobs one after another, each from where its last checkpoint stands.
 
     Args:
-        job: what to train.
-        index: number of the job in its sweep.
+        jobs: what to train.
         directory: where metrics, policies and checkpoints go.
         progress: is told of every chunk and epoch.
+        interruption: says when to stop.
+        checkpoint_seconds: least time between two checkpoints of a job, other than its last.
 
     Returns:
-        Final success rate by run name.
+        The last row of every run; None if a signal came, and what was done is in a checkpoint.
+
+    Raises:
+        DeviceError: the physics, the memory or something else below has failed.
+        OSError: metrics, or a job's last checkpoint, cannot be written.
+        SettingError: a checkpoint holds the state of another program.
     """
-    started = saved = time.monotonic()
-    group, programs, hyper = job.group, job.programs, stack_runs(job.group.runs)
-    state, pace, success = programs.start(hyper), Pace(), {}
-    for epoch in range(1, group.settings.epochs + 1):
-        state = _train_epoch(programs, state, hyper, pace, progress)
-        state, metrics = programs.evaluate(state, hyper)
-        rows = _rows(group, epoch, time.monotonic() - started, metrics)
-        directory.append_metrics(rows)
-        success = {row["run"]: float(row["success_rate"]) for row in rows}
-        progress.epoch(epoch, int(rows[0]["env_steps"]), success)
-        due = time.monotonic() - saved > CHECKPOINT_SECONDS
-        if due or epoch == group.settings.epochs:
-            _write_policies(group, directory, state)
-            save_checkpoint(directory.path / "checkpoints", index, epoch, state)
-            saved = time.monotonic()
-    return success
+    rows, last = [], []
+    for index, job in enumerate(jobs):
+        standing = _begin(job, index, directory)
+        directory.replace_metrics(rows + standing.rows)
+        settings = job.group.settings
+        progress.skip(standing.epoch * settings.cycles_per_epoch + standing.cycle)
+        recorder = Recorder(directory, job.group, index, standing.rows, checkpoint_seconds)
+        if not _train(job, standing, recorder, progress, interruption):
+            return None
+        rows += standing.rows
+        last += [json.loads(line) for line in standing.rows[-len(job.group.runs) :]]
+    return last
 
 
-def _train_epoch(
+def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
+    """Where a job's last checkpoint stands, or its beginning."""
+    hyper = stack_runs(job.group.runs)
+    like = jax.eval_shape(job.programs.start, hyper)
+    standing, notes = load_checkpoint(directory.path / "checkpoints", index, like)
+    where = f"after epoch {standing.epoch}" if standing else "from the beginning"
+    for note in notes:
+        print(f"{note}; going on {where}", file=sys.stderr)
+    if standing is None:
+        with device_errors():
+            standing = Standing(jax.block_until_ready(job.programs.start(hyper)))
+    return standing
+
+
+def _train(
+    job: Job,
+    standing: Standing,
+    recorder: Recorder,
+    progress: SweepProgress,
+    interruption: Interruption,
+) -> bool:
+    """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
+    settings, programs, hyper = job.group.settings, job.programs, stack_runs(job.group.runs)
+    began, pace = time.monotonic() - standing.wall_s, Pace()
+    with watchdog() as something_happened:
+        while standing.epoch < settings.epochs:
+            if standing.cycle < settings.cycles_per_epoch:
+                _train_chunk(programs, standing, hyper, pace, progress)
+                standing.wall_s = time.monotonic() - began
+            else:
+                metrics = _close_epoch(programs, standing, hyper)
+                standing.wall_s = time.monotonic() - began
+                progress.epoch(standing.epoch, recorder.record_epoch(standing, metrics))
+            something_happened()
+            if standing.epoch == settings.epochs:
+                recorder.save(standing)
+            elif interruption.requested:
+                recorder.try_to_save(standing)
+                return False
+            else:
+                recorder.save_if_due(standing)
+            interruption.expendable = False  # as it was during the first chunk, which compiles
+    interruption.expendable = True
+    return not interruption.requested
+
+
+def _train_chunk(
     programs: Programs,
-    state: TrainingState,
+    standing: Standing,
     hyper: Hyperparameters,
     pace: Pace,
     progress: SweepProgress,
-) -> TrainingState:
+) -> None:
     trainer = programs.trainer
-    remaining = trainer.settings.cycles_per_epoch
+    cycles = pace.next_chunk(trainer.settings.cycles_per_epoch - standing.cycle)
+    began = time.monotonic()
+    with device_errors():
+        standing.state = jax.block_until_ready(programs.train(standing.state, hyper, cycles))
+    seconds = time.monotonic() - began
+    pace.record(cycles, seconds)
+    standing.cycle += cycles
     steps_per_cycle = trainer.settings.environments * trainer.env.episode_length
-    runs = len(jax.tree.leaves(hyper)[0])
-    while remaining:
-        cycles = pace.next_chunk(remaining)
-        began = time.monotonic()
-        state = jax.block_until_ready(programs.train(state, hyper, cycles))
-        seconds = time.monotonic() - began
-        pace.record(cycles, seconds)
-        remaining -= cycles
-        progress.advance(cycles, cycles * steps_per_cycle * runs, seconds)
-    return state
+    progress.advance(cycles, cycles * steps_per_cycle * len(np.asarray(hyper.seed)), seconds)
 
 
-def _rows(group: Group, epoch: int, wall_s: float, metrics: Metrics) -> list[dict[str, Any]]:
-    arrays = {name: np.asarray(value) for name, value in metrics.items()}
-    return [
-        {
-            "run": run.name,
-            "env": group.settings.env,
-            "seed": run.hyper.seed,
-            "c_g": run.hyper.c_g,
-            "kappa": run.hyper.kappa,
-            "her": run.hyper.her,
-            "cgm": run.hyper.cgm,
-            "epoch": epoch,
-            "wall_s": round(wall_s, 3),
-            **{name: values[i] for name, values in arrays.items()},
-        }
-        for i, run in enumerate(group.runs)
-    ]
-
-
-def _write_policies(group: Group, directory: RunDirectory, state: TrainingState) -> None:
-    for i, run in enumerate(group.runs):
-        one = jax.tree.map(lambda leaf, i=i: leaf[i], (state.agent.actor, state.normaliser))
-        directory.write_policy(run, policy_arrays(*one))
+def _close_epoch(programs: Programs, standing: Standing, hyper: Hyperparameters) -> Metrics:
+    with device_errors():
+        standing.state, metrics = jax.block_until_ready(programs.evaluate(standing.state, hyper))
+    standing.epoch, standing.cycle = standing.epoch + 1, 0
+    return metrics

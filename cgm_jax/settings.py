@@ -10,6 +10,7 @@ This module imports no JAX, so that bad input is refused before anything is load
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -75,23 +76,52 @@ class Settings:
 
 
 def check(settings: Settings | Hyperparameters) -> None:
-    """Check every value against its range.
+    """Check every value against its type and range.
 
     Raises:
-        SettingError: a value that is not finite, or out of its range.
+        SettingError: a value of another type, not finite, or out of its range.
     """
     for item in dataclasses.fields(settings):
-        value = getattr(settings, item.name)
-        values = value if isinstance(value, tuple) else (value,)
-        if not values:
-            raise SettingError(f"{item.name}: needs at least one value")
-        for number in values:
-            if isinstance(number, str | bool | None):
-                continue
-            low, high = item.metadata["low"], item.metadata["high"]
-            if not math.isfinite(number):
-                raise SettingError(f"{item.name}: {number} is not a finite number")
-            if not low <= number <= high:
-                upper = "" if high == math.inf else f", {high:.10g}]"
-                bounds = f"within [{low:.10g}{upper}" if upper else f"at least {low:.10g}"
-                raise SettingError(f"{item.name}: {number} is not {bounds}")
+        check_value(item.name, getattr(settings, item.name))
+
+
+def check_value(name: str, value: Any) -> None:
+    """Check one value of the setting `name`.
+
+    Raises:
+        SettingError: there is no such setting, or its value is of another type, not finite, or
+            out of its range.
+    """
+    if name not in FIELDS:
+        raise SettingError(f"{name}: there is no such setting")
+    item = FIELDS[name]
+    if value is None and item.default is None:
+        return
+    kind = float if item.default is None else type(item.default)
+    if not isinstance(value, ACCEPTED[kind]) or isinstance(value, bool) != (kind is bool):
+        raise SettingError(f"{name}: {value!r} is not of type {kind.__name__}")
+    if kind is tuple:
+        if not value:
+            raise SettingError(f"{name}: needs at least one value")
+        if not all(isinstance(width, Integral) and not isinstance(width, bool) for width in value):
+            raise SettingError(f"{name}: {value!r} holds something else than whole numbers")
+    if kind not in (str, bool):
+        for number in value if isinstance(value, tuple) else (value,):
+            _check_range(item, number)
+
+
+def _check_range(item: "dataclasses.Field[Any]", number: Any) -> None:
+    low, high = item.metadata["low"], item.metadata["high"]
+    if not -math.inf < number < math.inf:  # also of integers beyond any float
+        raise SettingError(f"{item.name}: {number} is not a finite number")
+    if not low <= number <= high:
+        upper = "" if high == math.inf else f", {high:.10g}]"
+        bounds = f"within [{low:.10g}{upper}" if upper else f"at least {low:.10g}"
+        raise SettingError(f"{item.name}: {number} is not {bounds}")
+
+
+FIELDS = {
+    item.name: item for kind in (Settings, Hyperparameters) for item in dataclasses.fields(kind)
+}
+ACCEPTED = {str: str, bool: bool, int: Integral, float: Real, tuple: tuple}
+"""What counts as a value of a setting, by the type of its default; numpy's numbers do."""

@@ -2,24 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from cgm_jax.command_line import Preset, SettingOptions, chosen_values, parse, run_program
+from cgm_jax.command_line import TrainingOptions, chosen_values, parse, run_program
 from cgm_jax.grid import build_groups
 from cgm_jax.presets import preset_grid
+from cgm_jax.session import train_groups
 from cgm_jax.settings import SettingError
-from cgm_jax.sweep import train_groups
 
 
 @dataclass(kw_only=True)
-class TrainOptions(SettingOptions):
-    """Train one run. Options that are not given keep the first of the preset's values."""
+class TrainOptions(TrainingOptions):
+    """Train one run. Options that are not given keep the first of the preset's values.
 
-    preset: Preset = "cpu"
-    """Values to start from."""
-
-    out: Path | None = None
-    """Directory for the results (default: runs/PRESET-TIME)."""
+    The same command again goes on where it was stopped.
+    """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,9 +25,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, values in chosen.items():
         if len(values) > 1:
             raise SettingError(f"{name}: takes one value here; cgm_jax.sweep takes several")
-    grid = preset_grid(options.preset)
+    preset = options.preset or "cpu"
+    if options.resumes(chosen):
+        return train_groups(options, preset, None)
+    grid = preset_grid(preset)
     first = {name: values[:1] for name, values in grid.items() if len(values) > 1}
-    return train_groups(build_groups(options.preset, {**first, **chosen}), options)
+    return train_groups(options, preset, build_groups(preset, {**first, **chosen}))
 
 
 if __name__ == "__main__":

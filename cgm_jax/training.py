@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax.custom_batching import sequential_vmap
 
 from cgm_jax.ddpg import DDPG, Agent, Minibatch, prepare
+from cgm_jax.divergence import freeze_if_failed
 from cgm_jax.exploration import Exploration, draw_exploration, explore
 from cgm_jax.masking import (
     empty_history,
@@ -97,6 +98,7 @@ class Trainer:
             history=empty_history(self.settings.success_history, goal_size),
             statistics=empty_statistics(2**goal_size),
             env_steps=jnp.zeros((), jnp.int32),
+            failure=jnp.zeros((), jnp.int32),
         )
 
     def epoch(self, state: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
@@ -185,6 +187,7 @@ class Trainer:
             "mask_rate_training": statistics.mask_successes / statistics.mask_episodes,
             "mask_probability": probabilities,
             "physics_warnings": statistics.physics_warnings + jnp.sum(~valid),
+            "failure": state.failure,
             **{name: total / statistics.updates for name, total in statistics.losses.items()},
         }
         return state.replace(
@@ -232,8 +235,10 @@ class Trainer:
         agent, losses = _vmap_for_platform(self._update_agent)(
             state.agent, self.minibatches(state, hyper, key), hyper
         )
+        failure, agent = freeze_if_failed(state.failure, state.agent, agent)
         return state.replace(
             agent=agent,
+            failure=failure,
             statistics=_add_losses(state.statistics, losses, self.settings.updates_per_cycle),
         )
 

@@ -60,6 +60,7 @@ class TrainingState(struct.PyTreeNode):
         agent, normaliser, replay, history: see their modules.
         statistics: of the epoch in progress.
         env_steps: training steps over all environments so far, int32.
+        failure: 0, or what has diverged, see `divergence.failure_of`; then the agent is frozen.
     """
 
     key: jax.Array
@@ -69,6 +70,7 @@ class TrainingState(struct.PyTreeNode):
     history: SubgoalHistory
     statistics: EpochStatistics
     env_steps: jax.Array
+    failure: jax.Array
 
 
 LOSSES = ("critic_loss", "actor_loss", "value")

@@ -1,48 +1,180 @@
+import dataclasses
+import hashlib
+import json
+import zipfile
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.checkpoint import load_checkpoint, save_checkpoint
-from cgm_jax.settings import Hyperparameters
+from cgm_jax.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.programs import make_programs
+from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Trainer
-from cgm_jax.training_state import TrainingState
+from cgm_jax.training_state import TrainingState, stack
 from tests.cgm_jax.probe import TINY
 from tests.examples.point_mass import PointMass
 
-TRAINER = Trainer(PointMass(), TINY)
+# A ring of 80 slots, of which one cycle fills 8.
+PROGRAMS = make_programs(Trainer(PointMass(), dataclasses.replace(TINY, replay_transitions=2000)))
+HYPER = stack([Hyperparameters(seed=0), Hyperparameters(seed=1)])
+LIKE = jax.eval_shape(PROGRAMS.start, HYPER)
+ROWS = ['{"run": "a"}\n', '{"run": "ä"}\n']
 
 
-def trained() -> TrainingState:
-    hyper = Hyperparameters()
-    return jax.jit(TRAINER.train_cycles)(TRAINER.initial_state(hyper), hyper, 1)
+@pytest.fixture(scope="module")
+def state() -> TrainingState:
+    return PROGRAMS.train(PROGRAMS.start(HYPER), HYPER, 1)
 
 
-def test_a_checkpoint_holds_every_bit_of_the_state(tmp_path: Path) -> None:
-    state = trained()
-    path = save_checkpoint(tmp_path, group=0, epoch=1, state=state)
-    like = jax.eval_shape(TRAINER.initial_state, Hyperparameters())
-    restored = load_checkpoint(path, like)
-    assert jax.tree.structure(restored) == jax.tree.structure(state)
-    for leaf, other in zip(jax.tree.leaves(restored), jax.tree.leaves(state), strict=True):
+def save(directory: Path, state: TrainingState, epoch: int, cycle: int = 0, group: int = 0) -> Path:
+    return save_checkpoint(directory, group, Standing(state, epoch, cycle, 12.5, ROWS))
+
+
+def load(directory: Path) -> tuple[Standing, list[str]]:
+    standing, notes = load_checkpoint(directory, 0, LIKE)
+    assert standing is not None
+    return standing, notes
+
+
+def test_a_checkpoint_holds_every_bit(tmp_path: Path, state: TrainingState) -> None:
+    save(tmp_path, state, epoch=3, cycle=1)
+    standing, notes = load(tmp_path)
+    assert (standing.epoch, standing.cycle, standing.wall_s) == (3, 1, 12.5)
+    assert standing.rows == ROWS
+    assert notes == []
+    assert jax.tree.structure(standing.state) == jax.tree.structure(state)
+    leaves = zip(jax.tree.leaves(standing.state), jax.tree.leaves(state), strict=True)
+    for leaf, other in leaves:
         assert leaf.dtype == other.dtype
-        assert bool(jnp.all(leaf == other))
+        assert leaf.aval == other.aval  # weak types would compile anew
+        assert bool((leaf == other).all())
 
 
-def test_only_the_last_two_checkpoints_of_a_group_are_kept(tmp_path: Path) -> None:
-    state = trained()
-    for epoch in (1, 2, 10):
-        save_checkpoint(tmp_path, group=0, epoch=epoch, state=state)
-    save_checkpoint(tmp_path, group=1, epoch=1, state=state)
-    names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["group0_epoch000002.npz", "group0_epoch000010.npz", "group1_epoch000001.npz"]
+def test_only_the_filled_part_of_the_replay_ring_is_stored(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    with np.load(save(tmp_path, state, epoch=1)) as file:
+        assert file[".replay.episodes.mask"].shape == (2, 8, 2)
 
 
-def test_the_state_of_another_program_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.npz"
-    np.savez(path, something=np.zeros(3))
-    like = jax.eval_shape(TRAINER.initial_state, Hyperparameters())
-    with pytest.raises(ValueError, match="another program"):
-        load_checkpoint(path, like)
+def test_the_last_two_checkpoints_of_a_group_are_kept(tmp_path: Path, state: TrainingState) -> None:
+    (tmp_path / "group0_epoch000001_cycle000001.npz.partial").touch()  # left by a kill -9
+    for epoch, cycle in ((1, 0), (1, 1), (2, 0), (1_000_000, 3)):
+        save(tmp_path, state, epoch, cycle)
+    save(tmp_path, state, epoch=1, group=1)
+    names = sorted(path.name for path in tmp_path.glob("*"))
+    stems = (
+        "group0_epoch000002_cycle000000",
+        "group0_epoch1000000_cycle000003",
+        "group1_epoch000001_cycle000000",
+    )
+    assert names == [f"{stem}{ending}" for stem in stems for ending in (".json", ".npz")]
+    assert load(tmp_path)[0].epoch == 1_000_000
+
+
+def flip(path: Path, place: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(data)
+
+
+DAMAGE = {
+    "a flipped byte in the middle": lambda path: flip(path, path.stat().st_size // 2),
+    "a flipped byte at the end": lambda path: flip(path, -1),
+    "a byte too few": lambda path: path.write_bytes(path.read_bytes()[:-1]),
+    "an empty file": lambda path: path.write_bytes(b""),
+    "a flipped byte in the manifest": lambda path: flip(path.with_suffix(".json"), 20),
+    "an empty manifest": lambda path: path.with_suffix(".json").write_bytes(b""),
+    "a manifest of another kind": lambda path: path.with_suffix(".json").write_text("[1]"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(
+    kind: str, tmp_path: Path, state: TrainingState
+) -> None:
+    save(tmp_path, state, epoch=1)
+    damaged = save(tmp_path, state, epoch=2)
+    DAMAGE[kind](damaged)
+    standing, (note,) = load(tmp_path)
+    assert standing.epoch == 1
+    assert note.startswith(f"{damaged} is damaged (")
+    assert not damaged.exists()  # set aside, so that it does not count as one of the two kept
+    assert Path(f"{damaged}.damaged").exists()
+    assert load(tmp_path)[1] == []
+
+
+def test_a_checkpoint_that_was_never_finished_does_not_count(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    save(tmp_path, state, epoch=1)
+    save(tmp_path, state, epoch=2).with_suffix(".json").unlink()
+    standing, notes = load(tmp_path)
+    assert standing.epoch == 1
+    assert notes == []
+
+
+def test_no_checkpoint_is_the_beginning(tmp_path: Path) -> None:
+    assert load_checkpoint(tmp_path, 0, LIKE) == (None, [])
+
+
+def test_the_state_of_another_program_is_refused(tmp_path: Path, state: TrainingState) -> None:
+    save(tmp_path, state, epoch=1)
+    other = dataclasses.replace(TINY, hidden_layers=(8, 8))
+    like = jax.eval_shape(make_programs(Trainer(PointMass(), other)).start, HYPER)
+    with pytest.raises(SettingError, match=r"resume: .* holds the state of another program"):
+        load_checkpoint(tmp_path, 0, like)
+
+
+def forge(path: Path, name: str, content: bytes) -> None:
+    """Replace one member and make the manifest match."""
+    with zipfile.ZipFile(path) as archive:
+        members = {one: archive.read(one) for one in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for one, data in {**members, name: content}.items():
+            archive.writestr(one, data)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    entry = {"sha256": digest, "bytes": path.stat().st_size}
+    path.with_suffix(".json").write_text(json.dumps(entry))
+
+
+def header(shape: tuple[int, ...], kind: str) -> bytes:
+    text = repr({"descr": kind, "fortran_order": False, "shape": shape}).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("wall_s.npy", header((), "|O") + b"cos\nsystem\n(S'false'\ntR."),  # a pickle
+        ("wall_s.npy", header((10**12,), "<f8")),  # terabytes, if one believes it
+        (".env_steps.npy", header((2,), "<f4") + bytes(8)),  # another type
+        (".env_steps.npy", header((-2,), "<i4") + bytes(8)),
+        (".replay.episodes.mask.npy", header((2, 81, 2), "<f4") + bytes(2 * 81 * 8)),
+        ("position.npy", header((2,), "<i8") + b"\xff" * 16),
+        ("rows.npy", header((1,), "|u1") + b"\xff"),  # no text
+        ("wall_s.npy", b"nonsense"),
+        ("more.npy", header((), "<f4") + bytes(4)),
+    ],
+)
+def test_a_forged_checkpoint_is_refused_and_runs_no_code(
+    name: str, content: bytes, tmp_path: Path, state: TrainingState
+) -> None:
+    forge(save(tmp_path, state, epoch=1), name, content)
+    with pytest.raises(SettingError, match=r"resume: .*npz"):
+        load_checkpoint(tmp_path, 0, LIKE)
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    save(tmp_path, state, epoch=1)
+    before = sorted(tmp_path.iterdir())
+    full = tmp_path / "group0_epoch000002_cycle000000.npz.partial"
+    full.symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device"):
+        save(tmp_path, state, epoch=2)
+    assert sorted(tmp_path.iterdir()) == before
+    assert load(tmp_path)[0].epoch == 1

@@ -77,7 +77,8 @@ def test_a_sweep_writes_its_config_policies_figures_and_checkpoint(sweep: Path) 
     for figure in ("learning_curves", "epochs_to_half", "mask_success"):
         header = (sweep / "figures" / f"{figure}.png").read_bytes()[:8]
         assert header == b"\x89PNG\r\n\x1a\n"
-    assert len(list((sweep / "checkpoints").iterdir())) == 1
+    (checkpoint,) = (sweep / "checkpoints").glob("*.npz")
+    assert checkpoint.with_suffix(".json").is_file()
 
 
 def test_a_directory_that_holds_a_sweep_is_refused_and_left_alone(sweep: Path) -> None:

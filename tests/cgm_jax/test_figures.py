@@ -55,6 +55,19 @@ def test_learning_curves_show_medians_over_seeds() -> None:
     np.testing.assert_allclose(line(panel, "no CGM")[:, 1], [0, 0, 0, 0.5])
 
 
+def test_a_run_that_diverged_is_marked_where_it_did() -> None:
+    diverged = [
+        {**row, "failed_epoch": 2 if row["c_g"] == 0.1 and row["seed"] == 1 else None}
+        for row in rows()
+    ]
+    (panel,) = learning_curves(diverged).axes
+    (cross,) = [one for one in panel.get_lines() if one.get_marker() == "x"]
+    np.testing.assert_allclose(np.array(cross.get_xydata()), [[2000, 0.4]])
+    np.testing.assert_allclose(line(panel, "$c_g$ = 10 % (1 diverged)")[:, 1], [0, 0.4, 0.5, 0.7])
+    (panel,) = epochs_to_half(diverged).axes
+    assert len(line(panel, "$\\kappa$ = 32 (1 diverged)")) == 2
+
+
 def test_uniform_masks_are_not_taken_for_no_curriculum() -> None:
     uniform = [{**row, "kappa": 0.0} if row["cgm"] else row for row in rows()]
     (panel,) = learning_curves(uniform).axes

@@ -1,12 +1,28 @@
+import dataclasses
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import jax
 import pytest
 
-from cgm_jax import runner
+from cgm_jax import memory, runner
 from cgm_jax.grid import build_groups
-from cgm_jax.memory import bytes_per_run, free_bytes, runs_that_fit, tree_bytes
-from cgm_jax.settings import Hyperparameters
+from cgm_jax.memory import (
+    MemoryEstimate,
+    estimate_memory,
+    format_bytes,
+    free_bytes,
+    runs_that_fit,
+    tree_bytes,
+)
+from cgm_jax.programs import make_programs
+from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Trainer
+from cgm_jax.training_state import stack
 from tests.cgm_jax.probe import TINY
+from tests.cgm_jax.sweeps import ROOT
 from tests.examples.point_mass import PointMass
 
 
@@ -17,27 +33,128 @@ def test_the_replay_buffer_is_counted_to_the_byte() -> None:
     assert tree_bytes(state.replay) == 4 * (floats + 1)
 
 
-def test_a_run_takes_its_state_and_a_cycles_minibatches() -> None:
-    trainer = Trainer(PointMass(), TINY)
-    state = jax.eval_shape(trainer.initial_state, Hyperparameters())
+def test_the_parts_of_a_run_by_hand() -> None:
+    estimate = estimate_memory(Trainer(PointMass(), TINY))
+    episode = 4 * (26 * (4 + 2) + 25 * 2 + 2 + 2)
+    step = 2 * 4 * (4 + 2 + 2 + 2) + 4 * (16 + 16)  # the environment, reward and done; layers
+    assert estimate.rollout == TINY.environments * (4 * episode + step)
+    assert estimate.evaluation == TINY.evaluation_episodes * (episode + step)
     minibatches = 4 * TINY.updates_per_cycle * TINY.batch_size * (2 * (4 + 2) + 2 + 1)
-    assert bytes_per_run(trainer) == tree_bytes(state) + 2 * minibatches
+    assert estimate.minibatches == 2 * minibatches
+    actor = 6 * 16 + 16 + 16 * 16 + 16 + 16 * 2 + 2
+    critic = 8 * 16 + 16 + 16 * 16 + 16 + 16 * 1 + 1
+    # Networks, targets and two moments each; a counter per optimiser, and one of updates.
+    agent = 4 * (4 * (actor + critic) + 3)
+    assert estimate.update == minibatches + agent
+    assert estimate.single_update == agent + int(5.3 * 4 * TINY.batch_size * 32)
+
+
+def test_phases_do_not_add_up() -> None:
+    estimate = MemoryEstimate(1000, 10, 5, 6, 7, 3, 100, {})
+    assert estimate.total(1) == 1000 + 10 + 103
+    assert estimate.total(100) == 1000 + 1000 + 700
+
+
+CASES = {
+    "minibatches": {"updates_per_cycle": 40, "batch_size": 1024},
+    "rollouts": {"environments": 2048, "replay_transitions": 1000, "hidden_layers": (64, 64)},
+    "networks": {"hidden_layers": (768, 768), "updates_per_cycle": 2},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_the_model_of_each_phase_against_xlas_own_plan(case: str) -> None:
+    settings = dataclasses.replace(TINY, **CASES[case])  # pyright: ignore
+    trainer, runs = Trainer(PointMass(), settings), 4
+    programs, hyper = make_programs(trainer), stack([Hyperparameters()] * runs)
+    state = jax.eval_shape(programs.start, hyper)
+    plan = programs.train.lower(state, hyper, 1).compile().memory_analysis()  # pyright: ignore
+    estimate = estimate_memory(trainer)
+    modelled = estimate.total(runs) - estimate.fixed
+    actual = plan.argument_size_in_bytes + plan.temp_size_in_bytes
+    assert modelled == pytest.approx(actual, rel=0.35)
+
+
+@pytest.mark.slow
+def test_a_sweep_takes_what_was_said_beforehand(tmp_path: Path) -> None:
+    # Memory of the process at its peak, with everything: libraries, compiling, training.
+    program = (
+        "import re, resource, sys; from cgm_jax.sweep import main; main(sys.argv[1:]);"
+        "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])"
+    )
+    options = ["--preset", "cpu", "--env", "push", "--epochs", "2", "--cycles-per-epoch", "2"]
+    options += ["--seeds", "8", "--batch-size", "512", "--replay-transitions", "400000"]
+    options += ["--out", str(tmp_path / "out"), "--updates-per-cycle", "20"]
+    result = subprocess.run(
+        [sys.executable, "-c", program, *options],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=True,
+    )
+    actual = int(result.stdout.split()[-1]) / 1024
+    said = re.search(r"take ([\d.,]+) ([MG])iB of memory", result.stderr)
+    assert said is not None
+    estimate = float(said[1].replace(",", "")) * (1024 if said[2] == "G" else 1)
+    assert estimate == pytest.approx(actual, rel=0.15)
 
 
 def test_what_is_free_is_within_what_a_machine_has() -> None:
     assert 2**26 < free_bytes() < 2**50
 
 
-@pytest.mark.parametrize(("free", "fit"), [(1000, 8), (124, 1), (10, 1)])
+ESTIMATE = MemoryEstimate(100, 10, 0, 0, 0, 0, 0, {"replay_transitions": 9, "batch_size": 1})
+
+
+@pytest.mark.parametrize(("free", "fit"), [(10_000, 50), (250, 10), (130, 1), (115, 1)])
 def test_runs_that_fit(monkeypatch: pytest.MonkeyPatch, free: int, fit: int) -> None:
-    monkeypatch.setattr("cgm_jax.memory.free_bytes", lambda: free)
-    assert runs_that_fit(100) == fit
+    monkeypatch.setattr(memory, "free_bytes", lambda: free)
+    assert runs_that_fit(ESTIMATE, 50) == fit
+
+
+def test_a_run_that_cannot_fit_is_refused_by_what_makes_it_large(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(memory, "free_bytes", lambda: 109)
+    with pytest.raises(SettingError, match="replay_transitions: one run takes"):
+        runs_that_fit(ESTIMATE, 50)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "replay_transitions=10_000_000_000",
+        "environments=1_000_000",
+        "evaluation_episodes=1_000_000",
+        "batch_size=10_000_000",
+        "epochs=1_000_000_000",
+    ],
+)
+def test_settings_of_absurd_size_are_refused_by_name_before_anything_compiles(
+    setting: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, _, value = setting.partition("=")
+    monkeypatch.setattr(memory, "free_bytes", lambda: 2 * 2**30)
+    groups = build_groups("smoke", {name: [int(value)], "engine": ["native"]})
+    with pytest.raises(SettingError, match=f"^{name}: "):
+        runner.plan_jobs(groups)
 
 
 def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     (group,) = build_groups("smoke", {"seed": list(range(5)), "kappa": [4.0], "engine": ["native"]})
-    monkeypatch.setattr(runner, "runs_that_fit", lambda _: 2)
+    monkeypatch.setattr(runner, "runs_that_fit", lambda *_: 2)
     jobs, (note,) = runner.plan_jobs([group])
     assert [len(job.group.runs) for job in jobs] == [2, 2, 1]
     assert note.startswith("reach: 5 runs, 2 at a time, take ")
     assert len({id(job.programs) for job in jobs}) == 1
+    # A plan that a directory has recorded stays, whatever the memory is today.
+    monkeypatch.setattr(runner, "runs_that_fit", lambda *_: 5)
+    again, _ = runner.plan_jobs([job.group for job in jobs], planned=True)
+    assert [job.group for job in again] == [job.group for job in jobs]
+    assert len({id(job.programs) for job in again}) == 1
+
+
+def test_sizes_for_people() -> None:
+    assert format_bytes(3 * 2**19) == "1.5 MiB"
+    assert format_bytes(5 * 2**29) == "2.5 GiB"

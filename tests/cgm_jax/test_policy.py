@@ -1,3 +1,4 @@
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +91,59 @@ def test_a_malformed_policy_is_refused_with_its_reason(complaint: str, tmp_path:
         load_policy(path)
 
 
-def test_a_file_with_a_pickle_is_refused(tmp_path: Path) -> None:
+def header(shape: tuple[int, ...], kind: str) -> bytes:
+    text = repr({"descr": kind, "fortran_order": False, "shape": shape}).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+MALFORMED: dict[str, dict[str, bytes]] = {
+    "holds pickled objects": {"goal_std.npy": header((), "|O") + b"cos\nsystem\n(S'false'\ntR."},
+    "has not the size": {"goal_std.npy": header((10**12,), "<f4")},
+    "is no array": {"goal_std": b"import os"},
+    "magic string": {"goal_std.npy": b"nonsense"},
+    "array format": {"goal_std.npy": b"\x93NUMPY\x09\x00" + bytes(8)},
+}
+
+
+@pytest.mark.parametrize("complaint", MALFORMED)
+def test_a_hostile_file_is_refused_and_runs_no_code(complaint: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
-    np.savez(path, layer_0_kernel=np.array([{"a": 1}], dtype=object))
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in MALFORMED[complaint].items():
+            archive.writestr(name, data)
+    with pytest.raises(ValueError, match=f"not a readable policy file: .*{complaint}"):
+        load_policy(path)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("goal_std.npy", "w", force_zip64=True) as member,
+    ):
+        member.write(header((2**28 + 1,), "<f4"))
+        for _ in range(2**10):
+            member.write(bytes(2**20))
+        member.write(bytes(4))
+    assert path.stat().st_size < 2**24
+    with pytest.raises(ValueError, match="holds 1,073,741,828 bytes of arrays, more than"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("length", [0, 10, 300, -1])
+def test_a_truncated_file_is_refused(length: int, tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    np.savez(path, **GOOD)  # pyright: ignore
+    path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(ValueError, match="not a readable policy file"):
+        load_policy(path)
+
+
+def test_a_flipped_byte_in_a_policy_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    np.savez(path, **GOOD)  # pyright: ignore
+    data = bytearray(path.read_bytes())
+    data[200] ^= 1  # a weight
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"not a readable policy file: .*CRC"):
         load_policy(path)

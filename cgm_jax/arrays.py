@@ -1,0 +1,95 @@
+"""Files of named arrays (npz), read as if a stranger had made them."""
+
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+Shape = tuple[int, ...]
+SUFFIX = ".npy"
+
+
+def write_arrays(file: BinaryIO, arrays: Iterable[tuple[str, np.ndarray]]) -> None:
+    """Write an npz file, uncompressed, one array after the other.
+
+    Unlike `numpy.savez` it takes an iterator, so that the arrays need not exist all at once.
+    """
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays:
+            with archive.open(name + SUFFIX, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def read_shapes(path: Path) -> dict[str, tuple[Shape, np.dtype[Any]]]:
+    """Shapes and types of all arrays of an npz file, without reading the arrays.
+
+    Raises:
+        ValueError: the file cannot be read, holds pickled objects, or an array's size in the
+            archive is not what its shape says.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {_name(info): _read_header(archive, info) for info in archive.infolist()}
+    except Exception as error:
+        raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
+
+
+def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
+    """All arrays of an npz file. Never runs code from it, nor fills the memory with it.
+
+    Args:
+        path: the file.
+        most_bytes: refuse more than this, unpacked.
+
+    Raises:
+        ValueError: as `read_shapes`, or the arrays are larger than `most_bytes`.
+    """
+    shapes = read_shapes(path)
+    total = sum(_bytes(*entry) for entry in shapes.values())
+    if total > most_bytes:
+        raise ValueError(f"{path} holds {total:,} bytes of arrays, more than {most_bytes:,}")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in shapes}
+    except Exception as error:
+        raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
+
+
+def _name(info: zipfile.ZipInfo) -> str:
+    if not info.filename.endswith(SUFFIX):
+        raise ValueError(f"{info.filename!r} is no array")
+    return info.filename.removesuffix(SUFFIX)
+
+
+def _read_header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> tuple[Shape, np.dtype[Any]]:
+    """An array's shape and type, checked against the size that the archive gives it."""
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        if version not in read:
+            raise ValueError(f"array format {version} is unknown")
+        shape, _, dtype = read[version](member)
+        if dtype.hasobject:
+            raise ValueError(f"{info.filename} holds pickled objects")
+        if (
+            any(side < 0 for side in shape)
+            or member.tell() + _bytes(shape, dtype) != info.file_size
+        ):
+            raise ValueError(f"{info.filename} has not the size that its shape {shape} needs")
+    return shape, dtype
+
+
+def _bytes(shape: Shape, dtype: np.dtype[Any]) -> int:
+    count = dtype.itemsize
+    for side in shape:  # Python's integers do not overflow
+        count *= side
+    return count
+
+
+def _line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).partition("\n")[0]

@@ -1,0 +1,19 @@
+"""What the programs' exit codes mean."""
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """An exit code; those from 74 on say that the same command, again, goes on."""
+
+    DONE = 0
+    FAILED = 1
+    """Something below went wrong, such as the physics or the memory; one line says what."""
+    BAD_INPUT = 2
+    """Input was refused; one line names the field."""
+    DIVERGED = 3
+    """Done, but some runs diverged; they are named."""
+    CANNOT_WRITE = 74
+    """A full disk, or a directory that cannot be written to (EX_IOERR)."""
+    STOPPED = 75
+    """Stopped by SIGINT or SIGTERM (EX_TEMPFAIL)."""

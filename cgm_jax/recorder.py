@@ -1,0 +1,126 @@
+"""What a group of runs leaves on the disk while it trains."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from cgm_jax.checkpoint import Standing, save_checkpoint
+from cgm_jax.divergence import describe_failure
+from cgm_jax.grid import Group
+from cgm_jax.policy import policy_arrays
+from cgm_jax.run_directory import RunDirectory, metrics_line
+from cgm_jax.training import Metrics
+from cgm_jax.training_state import TrainingState
+
+
+class Recorder:
+    """Writes the metrics, policies and checkpoints of one group of runs."""
+
+    def __init__(
+        self,
+        directory: RunDirectory,
+        group: Group,
+        index: int,
+        rows: Sequence[str],
+        checkpoint_seconds: float,
+    ) -> None:
+        """Record `group`, number `index` of its sweep, which has written `rows` so far."""
+        self._directory = directory
+        self._group = group
+        self._index = index
+        self._interval = checkpoint_seconds
+        self._saved = time.monotonic()
+        self._best = {run.name: 0.0 for run in group.runs}
+        for line in rows:
+            self._improves(json.loads(line))
+
+    def record_epoch(self, standing: Standing, metrics: Metrics) -> list[dict[str, Any]]:
+        """Add an epoch's rows, and keep the policies that are better than all before.
+
+        Raises:
+            OSError: the metrics cannot be written.
+        """
+        lines = [metrics_line(row) for row in _rows(self._group, standing, metrics)]
+        standing.rows += lines
+        self._directory.append_metrics(lines)
+        rows = [json.loads(line) for line in lines]
+        policies = _policies(standing.state)
+        for run, row, policy in zip(self._group.runs, rows, policies, strict=True):
+            if self._improves(row):
+                self._directory.write_improvement(run, standing.epoch, policy)
+            if row["failed_epoch"] == standing.epoch:
+                note = f"{run.name} diverged in epoch {standing.epoch}: {row['failure']}"
+                print(f"{note}; it learns no more, the others go on", file=sys.stderr)
+        return rows
+
+    def save_if_due(self, standing: Standing) -> None:
+        """Write a checkpoint if the last one is old; if that fails, say so and go on."""
+        if time.monotonic() - self._saved >= self._interval:
+            self.try_to_save(standing)
+
+    def try_to_save(self, standing: Standing) -> None:
+        """Write policies and a checkpoint; if that fails, say so and go on."""
+        try:
+            self.save(standing)
+        except OSError as error:
+            self._saved = time.monotonic()
+            print(
+                f"no checkpoint written ({error.strerror}); the one before stays, "
+                "and training goes on",
+                file=sys.stderr,
+            )
+
+    def save(self, standing: Standing) -> None:
+        """Write policies and a checkpoint.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        for run, policy in zip(self._group.runs, _policies(standing.state), strict=True):
+            self._directory.write_policy(run, policy)
+        save_checkpoint(self._directory.path / "checkpoints", self._index, standing)
+        self._saved = time.monotonic()
+
+    def _improves(self, row: dict[str, Any]) -> bool:
+        """Whether a row shows more success than all rows of its run before."""
+        success = row["success_rate"] or 0.0
+        better = success > self._best[row["run"]]
+        if better:
+            self._best[row["run"]] = success
+        return better
+
+
+def _policies(state: TrainingState) -> Iterator[dict[str, np.ndarray]]:
+    """The policy of every run, in order."""
+    actor, normaliser = jax.tree.map(np.asarray, (state.agent.actor, state.normaliser))
+    for i in range(len(state.env_steps)):
+        yield policy_arrays(*jax.tree.map(lambda leaf, i=i: leaf[i], (actor, normaliser)))
+
+
+def _rows(group: Group, standing: Standing, metrics: Metrics) -> list[dict[str, Any]]:
+    arrays = {name: np.asarray(value) for name, value in metrics.items()}
+    failures = arrays.pop("failure")
+    updates = group.settings.cycles_per_epoch * group.settings.updates_per_cycle
+    return [
+        {
+            "run": run.name,
+            "env": group.settings.env,
+            "seed": run.hyper.seed,
+            "c_g": run.hyper.c_g,
+            "kappa": run.hyper.kappa,
+            "her": run.hyper.her,
+            "cgm": run.hyper.cgm,
+            "epoch": standing.epoch,
+            "wall_s": round(standing.wall_s, 3),
+            **{name: values[i] for name, values in arrays.items()},
+            # A frozen agent counts no more updates, so that they tell when it failed.
+            "failed_epoch": int(arrays["updates"][i]) // updates + 1 if failures[i] else None,
+            "failure": describe_failure(int(failures[i])) if failures[i] else None,
+        }
+        for i, run in enumerate(group.runs)
+    ]

@@ -1,0 +1,133 @@
+"""From groups of runs to an exit code: what sweep and train have in common."""
+
+import sys
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cgm_jax.command_line import TrainingOptions
+from cgm_jax.device_errors import DeviceError
+from cgm_jax.exit_codes import ExitCode
+from cgm_jax.grid import Group
+from cgm_jax.interruption import Interruption
+from cgm_jax.run_directory import RunDirectory
+from cgm_jax.settings import SettingError
+from cgm_jax.startup import prepare_jax
+
+if TYPE_CHECKING:  # runner imports JAX
+    from cgm_jax.runner import Job
+
+
+def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] | None) -> int:
+    """Train groups of runs, from the beginning or from where their directory stands.
+
+    Args:
+        options: where to, and how often to write checkpoints.
+        preset: recorded in the directory.
+        groups: what to train; None for what `options.resume` holds.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        SettingError: before anything compiles, if something cannot be as it is asked for.
+    """
+    out = options.resume or options.out or _default_directory(preset)
+    with Interruption() as interruption:
+        recorded = _recorded_groups(out, groups)
+        prepare_jax()
+        import jax
+
+        from cgm_jax.runner import plan_jobs
+
+        jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
+        try:
+            with RunDirectory.claimed(out, fresh=recorded is None) as directory:
+                if recorded is None:
+                    device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
+                    directory.write_config([job.group for job in jobs], preset, device)
+                else:
+                    notes += _notes_on_resuming(directory)
+                print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
+                return _train(jobs, directory, interruption, options.checkpoint_seconds)
+        except OSError as error:
+            print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
+            print(_how_to_go_on(out), file=sys.stderr)
+            return ExitCode.CANNOT_WRITE
+
+
+def _default_directory(preset: str) -> Path:
+    return Path("runs") / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+def _recorded_groups(out: Path, groups: Sequence[Group] | None) -> list[Group] | None:
+    """What the directory holds, as it was split; None if it is new.
+
+    Raises:
+        SettingError: it holds something else than what is asked for.
+    """
+    directory = RunDirectory(out)
+    if groups is None:
+        return RunDirectory.open(out).groups()
+    if not directory.holds_sweep():
+        return None
+    recorded = directory.groups()
+    if _merged(recorded) != _merged(groups):
+        raise SettingError(f"out: {out} already holds a sweep with other settings or runs")
+    return recorded
+
+
+def _merged(groups: Sequence[Group]) -> list[Group]:
+    """Groups with parts of the same settings put together again."""
+    merged: list[Group] = []
+    for group in groups:
+        if merged and merged[-1].settings == group.settings:
+            merged[-1] = Group(group.settings, merged[-1].runs + group.runs)
+        else:
+            merged.append(group)
+    return merged
+
+
+def _notes_on_resuming(directory: RunDirectory) -> list[str]:
+    notes = ["going on where it was stopped"]
+    if changed := directory.other_versions():
+        notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
+    return notes
+
+
+def _train(
+    jobs: "Sequence[Job]",
+    directory: RunDirectory,
+    interruption: Interruption,
+    checkpoint_seconds: float,
+) -> int:
+    from cgm_jax.figures import draw_figures
+    from cgm_jax.progress import SweepProgress, physics_lines, summary_lines
+    from cgm_jax.runner import run_jobs
+
+    started = time.monotonic()
+    cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
+    try:
+        with SweepProgress(cycles) as progress:
+            rows = run_jobs(jobs, directory, progress, interruption, checkpoint_seconds)
+    except DeviceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        print(_how_to_go_on(directory.path), file=sys.stderr)
+        return ExitCode.FAILED
+    if directory.metrics():
+        draw_figures(directory)
+    if rows is None:
+        print(f"stopped; {_how_to_go_on(directory.path)}", file=sys.stderr)
+        return ExitCode.STOPPED
+    print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
+    print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
+    diverged = sum(row["failure"] is not None for row in rows)
+    if diverged:
+        print(f"{diverged} of {len(rows)} runs diverged", file=sys.stderr)
+    return ExitCode.DIVERGED if diverged else ExitCode.DONE
+
+
+def _how_to_go_on(out: Path) -> str:
+    return f"to go on: python -m cgm_jax.sweep --resume {out}"

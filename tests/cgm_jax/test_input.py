@@ -1,0 +1,235 @@
+"""Nonsense, generated: every input is a valid plan or is refused with one line that names it."""
+
+import dataclasses
+import json
+import math
+import random
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgm_jax import sweep, train
+from cgm_jax.command_line import run_program
+from cgm_jax.grid import Group, build_groups
+from cgm_jax.presets import PRESETS
+from cgm_jax.run_directory import RunDirectory
+from cgm_jax.settings import FIELDS, SettingError
+from tests.cgm_jax.sweeps import ROOT
+
+WORDS = [
+    *("nan", "inf", "-inf", "-1", "0", "-0.0", "1", "2", "0.5", "1.0", "1e400", "1e-400", "1e30"),
+    *("9" * 25, "1_0", "0x10", "٣", "½", "", " ", "None", "on", "off", "true", "reach"),
+    *(
+        "native",
+        "a.py:",
+        ":",
+        ".py:X",
+        "ä💥\u202e",
+        "a\nb",
+        "'",
+        "--",
+        "-",
+        "x" * 5000,
+        "../..",
+        "/",
+    ),
+]
+OPTIONS = [*FIELDS, "preset", "out", "resume", "seeds", "checkpoint_seconds", "no_such_option"]
+VALUES = [
+    *(math.nan, math.inf, -math.inf, -1, 0, 1, 2, 0.5, 1e30, 10**400, 2**31, True, False, None),
+    *("", "reach", "ä💥", "nan", b"1", 1j, [], {}, (), (1,), (64, 64), (0,), (math.nan,), ("8",)),
+    *((True,), [1], {"a": 1}, object, "x" * 5000, "a.py:F", "native"),
+]
+
+
+def assert_sound(groups: list[Group]) -> None:
+    """All values are within their documented ranges, by another route than the checks'."""
+    assert groups
+    assert len({run.name for group in groups for run in group.runs}) >= 1
+    for group in groups:
+        for values in (asdict(group.settings), *(asdict(run.hyper) for run in group.runs[:50])):
+            json.dumps(values, allow_nan=False)
+            for name, value in values.items():
+                numbers = value if isinstance(value, tuple) else (value,)
+                for number in numbers:
+                    if isinstance(number, int | float) and not isinstance(number, bool):
+                        metadata = FIELDS[name].metadata
+                        assert (
+                            max(number, metadata["low"]) == number == min(number, metadata["high"])
+                        )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_100_generated_configurations(seed: int) -> None:
+    draw, valid = random.Random(seed), 0
+    for _ in range(100):
+        names = draw.sample([*FIELDS, "no_such_setting"], draw.randint(1, 3))
+        grid: dict[str, Any] = {}
+        for name in names:
+            count = draw.choice([0, 1, 1, 1, 1, 2])
+            sane = [getattr(FIELDS.get(name), "default", 1)] if draw.random() < 0.5 else VALUES
+            grid[name] = [draw.choice(sane) for _ in range(count)]
+            if draw.random() < 0.05:
+                grid[name] = draw.choice(VALUES)
+        groups, complaint = [], ""
+        try:
+            groups = build_groups(draw.choice(list(PRESETS)), grid)
+        except SettingError as error:
+            complaint = str(error)
+        if groups:
+            valid += 1
+            assert_sound(groups)
+        else:
+            assert complaint.partition(":")[0] in names, grid
+    assert 5 < valid < 80  # both happen
+
+
+@pytest.fixture
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Instead of training: what would be trained."""
+    plans: list[Any] = []
+
+    def plan(options: Any, preset: str, groups: Any) -> int:
+        if groups is None:
+            groups = RunDirectory.open(options.resume).groups()
+        plans.append(groups)
+        return 0
+
+    monkeypatch.setattr(sweep, "train_groups", plan)
+    monkeypatch.setattr(train, "train_groups", plan)
+    return plans
+
+
+def outcome(
+    main: Callable[[list[str]], int], arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> tuple[Any, str]:
+    with pytest.raises(SystemExit) as end:
+        run_program(lambda: main(arguments))
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    return end.value.code, captured.err
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_60_generated_command_lines(
+    seed: int, planned: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    draw, valid = random.Random(seed), 0
+    for _ in range(60):
+        arguments, names = [], draw.sample(OPTIONS, draw.randint(1, 3))
+        for name in names:
+            count = draw.choice([0, 1, 1, 1, 1, 2])
+            sane = draw.random() < 0.4 and name in FIELDS
+            words = [_spelled(FIELDS[name].default)] if sane else WORDS
+            arguments += [
+                f"--{name.replace('_', '-')}",
+                *(draw.choice(words) for _ in range(count)),
+            ]
+        planned.clear()
+        code, text = outcome(draw.choice([sweep.main, train.main]), arguments, capsys)
+        if code == 0:
+            valid += 1
+            assert text == ""
+            assert_sound(planned[0])
+            continue
+        assert code == 2, arguments
+        assert text.startswith("error: ")
+        assert text.count("\n") == 1
+        given = [*names, *(word for word in arguments if not word.startswith("--"))]
+        message = text.replace("-", "_")
+        assert any(word.replace("-", "_") in message for word in given if word), (arguments, text)
+    assert 2 < valid < 58
+
+
+def _spelled(value: Any) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "8" if isinstance(value, tuple) else str(0.5 if value is None else value)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_50_generated_config_files(
+    seed: int, tmp_path: Path, planned: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (group,) = build_groups("smoke", {})
+    written = {
+        "groups": [
+            {
+                "settings": asdict(group.settings),
+                "runs": [{"name": run.name, **asdict(run.hyper)} for run in group.runs],
+            }
+        ],
+        "versions": {},
+    }
+    text, draw = json.dumps(written), random.Random(seed)
+    path = tmp_path / "config.json"
+    for trial in range(50):
+        start, end = sorted(draw.sample(range(len(text)), 2))
+        word = draw.choice([*WORDS, "null", "[]", "{}", "[[" * 1000, "NaN", '"x"', "1e999"])
+        end = end if trial % 5 == 0 else min(start + draw.randint(1, 9), len(text))
+        path.write_text(text[:start] + word + text[end:])
+        planned.clear()
+        code, message = outcome(sweep.main, ["--resume", str(tmp_path)], capsys)
+        if code == 0:
+            assert_sound(planned[0])
+        else:
+            assert code == 2
+            assert message.startswith(f"error: {path} is damaged: ")
+            assert message.count("\n") == 1
+
+
+CONTRADICTIONS = {
+    "--resume {} --c-g 0.1": "resume: goes on as it was begun, without c_g",
+    "--resume {} --out x": "resume: goes on as it was begun, without out",
+    "--resume {} --preset smoke": "resume: goes on as it was begun, without preset",
+    "--resume {} --seeds 3": "resume: goes on as it was begun, without seed",
+    "--resume {}": "holds no sweep: config.json is missing",
+    "--resume {}/nowhere": "holds no sweep: config.json is missing",
+    "--checkpoint-seconds -1": "checkpoint_seconds: -1.0 is not a finite number of at least 0",
+    "--checkpoint-seconds nan": "checkpoint_seconds: nan is not a finite number of at least 0",
+    "--seeds 1000000": "seed: more than 100,000 runs in one sweep",
+    "--preset ": "--preset",
+}
+
+
+@pytest.mark.parametrize("line", CONTRADICTIONS)
+def test_contradictions_are_refused_by_name(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = line.format(tmp_path).split()
+    code, text = outcome(sweep.main, arguments, capsys)
+    assert code == 2
+    assert CONTRADICTIONS[line] in text
+
+
+def test_a_name_too_long_for_a_file_is_refused() -> None:
+    with pytest.raises(SettingError, match="env: a run's file would have too long a name"):
+        build_groups("smoke", {"env": [f"/tmp/{'e' * 180}.py:Factory"]})
+
+
+def test_numpys_numbers_are_numbers() -> None:
+    import numpy as np
+
+    groups = build_groups("smoke", {"c_g": [np.float64(0.3)], "epochs": [np.int64(3)]})
+    assert dataclasses.asdict(groups[0].settings)["epochs"] == 3
+
+
+@pytest.mark.parametrize("arguments", [["--c-g", "nan"], ["--resume", "/nowhere"], ["--x"]])
+def test_bad_input_is_refused_without_importing_jax(arguments: list[str]) -> None:
+    program = (
+        "import sys\n"
+        "from cgm_jax import sweep\n"
+        "from cgm_jax.command_line import run_program\n"
+        "try: run_program(lambda: sweep.main(sys.argv[1:]))\n"
+        "finally: assert not {'jax', 'numpy.random', 'mujoco'} & set(sys.modules)"
+    )
+    command = [sys.executable, "-c", program, *arguments]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert result.returncode == 2, result.stderr
+    assert result.stderr.startswith("error: ")
+    assert len(result.stderr.splitlines()) == 1

@@ -1,0 +1,350 @@
+"""Whole sweeps on the point mass, in this process, through every fault that can be staged.
+
+The programs compile once for all tests; processes of their own are in test_resume.py.
+"""
+
+import functools
+import json
+import os
+import resource
+import shutil
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from brax.envs.base import State
+from jax.experimental.buffer_callback import buffer_callback
+
+from cgm_jax import figures, recorder, runner, session, sweep
+from cgm_jax.lock import locked
+from cgm_jax.settings import SettingError
+from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
+from tests.examples.point_mass import PointMass
+
+EPOCHS, RUNS = 4, 2
+OPTIONS = ["--preset", "smoke", "--env", POINT_MASS, "--epochs", str(EPOCHS)]
+DRAW_FIGURES = figures.draw_figures
+ALWAYS = ["--checkpoint-seconds", "0"]
+
+
+@pytest.fixture(autouse=True)
+def fast(monkeypatch: pytest.MonkeyPatch, programs: Callable[..., Any]) -> None:
+    monkeypatch.setattr(figures, "draw_figures", lambda _: None)
+    monkeypatch.setattr(runner, "make_environment", lambda _: PointMass())
+    monkeypatch.setattr(runner, "make_programs", programs)
+    # The default would end pytest itself, were the machine slow.
+    patient = functools.partial(session.Interruption, patience=300.0)
+    monkeypatch.setattr(session, "Interruption", patient)
+
+
+@pytest.fixture(scope="module")
+def programs() -> Callable[..., Any]:
+    return functools.cache(runner.make_programs)
+
+
+def train(out: Path, *options: str) -> int:
+    return sweep.main([*OPTIONS, "--out", str(out), *options])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, programs: Callable[..., Any]) -> Path:
+    """A sweep that nothing has disturbed."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "make_environment", lambda _: PointMass())
+        patch.setattr(runner, "make_programs", programs)
+        assert train(out) == 0
+    return out
+
+
+def at_epoch(monkeypatch: pytest.MonkeyPatch, epoch: int, action: Callable[[], Any]) -> None:
+    """Do something once, in the middle of training, before the rows of `epoch` are written."""
+    record = recorder.Recorder.record_epoch
+
+    def recording(self: Any, standing: Any, metrics: Any) -> Any:
+        if standing.epoch == epoch:
+            action()
+        return record(self, standing, metrics)
+
+    monkeypatch.setattr(recorder.Recorder, "record_epoch", recording)
+
+
+def stop_at_epoch(monkeypatch: pytest.MonkeyPatch, epoch: int, out: Path, *options: str) -> None:
+    with monkeypatch.context() as patch:
+        at_epoch(patch, epoch, lambda: os.kill(os.getpid(), signal.SIGTERM))
+        assert train(out, *options) == 75
+
+
+def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(figures, "draw_figures", DRAW_FIGURES)
+    stop_at_epoch(monkeypatch, 2, out)
+    monkeypatch.setattr(figures, "draw_figures", lambda _: None)
+    assert f"stopped; to go on: python -m cgm_jax.sweep --resume {out}" in capsys.readouterr().err
+    assert len(rows(out)) == 2 * RUNS
+    assert (out / "figures" / "learning_curves.png").is_file()
+    assert train(out) == 0
+    assert "going on where it was stopped" in capsys.readouterr().err
+    assert_same_results(whole, out)
+    before = {path: path.stat().st_mtime_ns for path in (out / "checkpoints").iterdir()}
+    assert sweep.main(["--resume", str(out)]) == 0
+    assert {path: path.stat().st_mtime_ns for path in (out / "checkpoints").iterdir()} == before
+    assert_same_results(whole, out)
+
+
+def test_wall_s_goes_on_over_interruptions_and_jumps_of_the_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, jumps = tmp_path / "out", iter([4e9, 0.0, -1e9] * 10_000)
+    monkeypatch.setattr(time, "time", lambda: next(jumps))
+    began = time.monotonic()
+    stop_at_epoch(monkeypatch, 2, out)
+    assert train(out) == 0
+    lines = (out / "metrics.jsonl").read_text().splitlines()
+    times = [json.loads(line)["wall_s"] for line in lines[::RUNS]]
+    assert times == sorted(times)
+    assert 0 < times[0] < times[-1] <= time.monotonic() - began
+
+
+DAMAGE_TO_METRICS: dict[str, Callable[[Path], Any]] = {
+    "deleted": lambda path: path.unlink(),
+    "empty": lambda path: path.write_text(""),
+    "a torn last line": lambda path: path.write_bytes(path.read_bytes()[:-50]),
+    "a line twice": lambda path: path.write_text(path.read_text() + path.read_text()),
+    "nonsense": lambda path: path.write_bytes(b"\xff\x00{"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE_TO_METRICS)
+def test_damaged_metrics_are_restored(
+    damage: str, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out)
+    DAMAGE_TO_METRICS[damage](out / "metrics.jsonl")
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_a_damaged_checkpoint_is_named_and_the_sweep_goes_on_from_the_one_before(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out, *ALWAYS)
+    last = max((out / "checkpoints").glob("*.npz"))
+    last.write_bytes(last.read_bytes()[:-1])
+    assert train(out) == 0
+    assert f"{last} is damaged" in capsys.readouterr().err
+    assert_same_results(whole, out)
+
+
+def test_without_any_checkpoint_the_group_begins_again(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 2, out)
+    shutil.rmtree(out / "checkpoints")
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_a_full_disk_costs_checkpoints_but_not_the_training(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    _, hard = before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with monkeypatch.context() as patch:
+        at_epoch(patch, 2, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard)))
+        try:
+            assert train(out, *ALWAYS) == 74  # its last checkpoint must be written
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    text = capsys.readouterr().err
+    assert "no checkpoint written (File too large); the one before stays, and training" in text
+    assert f"error: cannot write to {out}: File too large\nto go on: " in text
+    assert len(rows(out)) == EPOCHS * RUNS
+    assert not list(out.rglob("*.partial"))
+    assert list((out / "checkpoints").glob("*epoch000001*.json"))
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_metrics_that_cannot_be_written_end_the_sweep_which_can_go_on(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    _, hard = before = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill() -> None:  # the next row will be torn
+        size = (out / "metrics.jsonl").stat().st_size
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, hard))
+
+    with monkeypatch.context() as patch:
+        at_epoch(patch, 3, fill)
+        try:
+            assert train(out, *ALWAYS) == 74
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert f"error: cannot write to {out}: File too large" in capsys.readouterr().err
+    assert not (out / "metrics.jsonl").read_text().endswith("\n")
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs to give up and take back rights")
+def test_a_directory_that_becomes_read_only_costs_checkpoints_but_not_the_training(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, nobody = tmp_path / "out", 65534
+    out.mkdir()
+    for path in (out, *out.parents):
+        if path.is_relative_to(tmp_path.parents[2]):
+            path.chmod(0o755)
+    os.chown(out, nobody, nobody)
+    with monkeypatch.context() as patch:
+        at_epoch(patch, 2, lambda: (out / "checkpoints").chmod(0o555))
+        os.seteuid(nobody)
+        try:
+            assert train(out, *ALWAYS) == 74
+        finally:
+            os.seteuid(0)
+    assert "no checkpoint written (Permission denied); the one before" in capsys.readouterr().err
+    assert len(rows(out)) == EPOCHS * RUNS
+    (out / "checkpoints").chmod(0o755)
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+@dataclass(frozen=True)
+class Breaking(PointMass):
+    """The point mass on a physics engine that can raise, as MuJoCo does when it runs out."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        shape = jax.ShapeDtypeStruct(action.shape, action.dtype)
+        call = buffer_callback(self._advance, shape, vmap_method="broadcast_all")
+        return super().step(state, call(action))
+
+    def _advance(self, _: Any, output: Any, action: Any) -> None:
+        if broken:
+            raise mujoco.FatalError(  # pyright: ignore
+                "mj_stackAlloc: out of memory"
+            )
+        np.asarray(output)[...] = np.asarray(action)
+
+
+broken = False
+
+
+def test_a_mujoco_error_in_the_callback_ends_with_its_message_and_can_go_on(
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(runner, "make_environment", lambda _: Breaking())
+    with monkeypatch.context() as patch:
+        at_epoch(patch, 2, lambda: patch.setitem(globals(), "broken", True))
+        assert train(out, *ALWAYS) == 1
+    error, advice = capsys.readouterr().err.splitlines()[-2:]
+    assert error.startswith('error: FatalError: mj_stackAlloc: out of memory (File "')
+    assert error.endswith(", in _advance)")
+    assert advice == f"to go on: python -m cgm_jax.sweep --resume {out}"
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_a_directory_in_use_is_refused_and_left_alone(whole: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != "lock"}
+    with locked(whole / "lock"), pytest.raises(SettingError, match=r"out: .* is in use by process"):
+        train(whole)
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--epochs", "5"], "already holds a sweep with other settings or runs"),
+        (["--seed", "1"], "already holds a sweep with other settings or runs"),
+        (["--kappa", "32", "4"], "already holds a sweep with other settings or runs"),
+    ],
+)
+def test_another_sweep_in_the_same_directory_is_refused(
+    options: list[str], complaint: str, whole: Path
+) -> None:
+    with pytest.raises(SettingError, match=complaint):
+        train(whole, *options)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "config.json is damaged: JSONDecodeError"),
+        ("[" * 100_000, "config.json is damaged"),
+        ("{}", "config.json is damaged: KeyError: 'groups'"),
+        ('{"groups": [{"settings": {"hidden_layers": 3}}]}', "config.json is damaged: TypeError"),
+        ('{"groups": []}', "config.json is damaged"),
+    ],
+)
+def test_a_damaged_config_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text(text)
+    with pytest.raises(SettingError, match=complaint):
+        sweep.main(["--resume", str(tmp_path)])
+
+
+@pytest.mark.parametrize(("field", "value"), [("epochs", "4"), ("batch_size", 1.5), ("env", None)])
+def test_a_config_with_a_value_of_the_wrong_type_is_refused(
+    field: str, value: Any, whole: Path, tmp_path: Path
+) -> None:
+    config = json.loads((whole / "config.json").read_text())
+    config["groups"][0]["settings"][field] = value
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    with pytest.raises(SettingError, match=f"config.json is damaged: {field}: "):
+        sweep.main(["--resume", str(tmp_path)])
+
+
+def test_runs_that_diverge_are_named_and_marked_while_the_others_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, grid = tmp_path / "out", ["--kappa", "4", "--critic-learning-rate", "1e-3", "1e30"]
+    assert train(out, *grid) == 3
+    captured = capsys.readouterr()
+    bad = "point_mass-PointMass_her_cgm-cg0.1-kappa4_criticlearningrate1e+30_seed0"
+    reason = "critic not finite or beyond 1e+09"
+    for row in rows(out):
+        failed = (1, row["failure"]) if row["run"] == bad else (None, None)
+        assert (row["failed_epoch"], row["failure"]) == failed
+        assert failed[1] is None or "critic" in failed[1]
+        assert (row["updates"] == 0) is (row["run"] == bad)
+    assert f"{bad} diverged in epoch 1: " in captured.err
+    assert "1 of 2 runs diverged" in captured.err
+    assert f"diverged in epoch 1: {rows(out)[1]['failure']}" in captured.out
+    assert reason.split()[1] in captured.out
+    assert train(out, *grid) == 3  # a finished sweep says so again
+    with np.load(out / "policies" / f"{bad}.npz") as file:
+        assert all(np.isfinite(file[name]).all() for name in file.files)
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_while_training_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # 4,500 calls of the device: at two seconds each, as the host loop aims at, over an hour.
+    taken: list[int] = []
+
+    def measure() -> None:
+        taken.append(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize())
+
+    for epoch in (200, 1500):
+        at_epoch(monkeypatch, epoch, measure)
+    assert train(tmp_path / "out", "--epochs", "1501", "--checkpoint-seconds", "1") == 0
+    assert taken[1] - taken[0] < 20 * 2**20
