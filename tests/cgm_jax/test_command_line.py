@@ -150,7 +150,7 @@ BAD_INPUT = {
     "--batch-size 32 64": "batch_size: is static",
     "--hidden-layers 32 --batch-size 32 64": "batch_size: is static",
     "--colour red": "--colour",
-    "--preset huge": "--preset",
+    "--preset huge": "preset: unknown",
     "--her maybe": "--her",
     "--hidden-layers 64.5": "--hidden-layers: not understood: ['64.5']",
     "--out /proc/nowhere": "out: cannot write to /proc/nowhere",
