@@ -7,6 +7,7 @@ or if there is nothing to lose. Ending so is as safe as `kill -9`: the last comp
 stays.
 """
 
+import contextlib
 import os
 import select
 import signal
@@ -69,7 +70,7 @@ class Interruption:
             return
         self.requested = True
         if not self.expendable:
-            print("stopping after the running chunk; once more: at once", file=sys.stderr)
+            _say("stopping after the running chunk; once more: at once")
             if not self._wait(self._patience):
                 return
         _end()
@@ -88,6 +89,12 @@ class Interruption:
 def _end() -> NoReturn:
     """End the process now, whatever its other threads are doing."""
     if sys.stderr.isatty():
-        sys.stderr.write(SHOW_CURSOR)
-    print("stopped at once; the last complete checkpoint stays", file=sys.stderr, flush=True)
+        _say(SHOW_CURSOR, end="")
+    _say("stopped at once; the last complete checkpoint stays")
     os._exit(ExitCode.STOPPED)
+
+
+def _say(text: str, end: str = "\n") -> None:
+    """Print to standard error, which may be closed already."""
+    with contextlib.suppress(OSError, ValueError):
+        print(text, end=end, file=sys.stderr, flush=True)

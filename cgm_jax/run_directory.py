@@ -2,9 +2,10 @@
 
 DIR/config.json           everything needed to run it again, versions included
 DIR/metrics.jsonl         one object per run and epoch
-DIR/policies/<run>.npz    the deterministic actor
+DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
 DIR/figures/*.png
-DIR/checkpoints/          the whole training state of each group
+DIR/checkpoints/          the whole training state of each group, see checkpoint.py
+DIR/lock                  held while a sweep writes here
 """
 
 import contextlib
