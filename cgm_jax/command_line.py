@@ -165,13 +165,15 @@ def refuse(message: str) -> NoReturn:
 
 
 def _first_paragraph(box: str) -> str:
-    """The message in the box that tyro draws around an error."""
-    lines = [re.sub(r"^│(.*)│$", r"\1", line.strip()).strip() for line in box.splitlines()]
+    """The message in what tyro says of an error: a title, the message, a rule, and advice.
+
+    All of it in a box; where standard output is plain ASCII, with a rule below the title instead.
+    """
+    lines = [re.sub(r"^│(.*)│$", r"\1", line.strip()).strip() for line in box.split("\n")]
+    below_title = 1 if box.startswith("╭") else 2
     message = []
-    for line in lines:
-        if line.startswith("╭"):
-            continue
-        if line.startswith(("─", "╰")):
+    for line in lines[below_title:]:
+        if line.startswith(("─", "╰", "---")):
             break
         message.append(line)
     text = " ".join(message).partition(" Got errors")[0].strip()

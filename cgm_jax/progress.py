@@ -54,7 +54,7 @@ class SweepProgress:
             self._live.__exit__(kind, error, trace)
 
     def skip(self, cycles: int) -> None:
-        """So many cycles were done in an earlier process."""
+        """So many cycles were done in an earlier process, or need not be done."""
         self._bar.update(self._task, advance=cycles)
 
     def advance(self, cycles: int, env_steps: int, seconds: float) -> None:

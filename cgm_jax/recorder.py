@@ -14,7 +14,7 @@ from cgm_jax.divergence import describe_failure
 from cgm_jax.grid import Group
 from cgm_jax.policy import policy_arrays
 from cgm_jax.run_directory import RunDirectory, metrics_line
-from cgm_jax.training import Metrics
+from cgm_jax.training import Metrics, deterministic_actor
 from cgm_jax.training_state import TrainingState
 
 
@@ -49,7 +49,7 @@ class Recorder:
         standing.rows += lines
         self._directory.append_metrics(lines)
         rows = [json.loads(line) for line in lines]
-        policies = _policies(standing.state)
+        policies = _policies(self._group, standing.state)
         for run, row, policy in zip(self._group.runs, rows, policies, strict=True):
             if self._improves(row):
                 self._directory.write_improvement(run, standing.epoch, policy)
@@ -81,7 +81,9 @@ class Recorder:
         Raises:
             OSError: they cannot be written.
         """
-        for run, policy in zip(self._group.runs, _policies(standing.state), strict=True):
+        for run, policy in zip(
+            self._group.runs, _policies(self._group, standing.state), strict=True
+        ):
             self._directory.write_policy(run, policy)
         save_checkpoint(self._directory.path / "checkpoints", self._index, standing)
         self._saved = time.monotonic()
@@ -95,9 +97,10 @@ class Recorder:
         return better
 
 
-def _policies(state: TrainingState) -> Iterator[dict[str, np.ndarray]]:
+def _policies(group: Group, state: TrainingState) -> Iterator[dict[str, np.ndarray]]:
     """The policy of every run, in order."""
-    actor, normaliser = jax.tree.map(np.asarray, (state.agent.actor, state.normaliser))
+    actor = deterministic_actor(group.settings, state.agent)
+    actor, normaliser = jax.tree.map(np.asarray, (actor, state.normaliser))
     for i in range(len(state.env_steps)):
         yield policy_arrays(*jax.tree.map(lambda leaf, i=i: leaf[i], (actor, normaliser)))
 

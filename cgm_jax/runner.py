@@ -26,6 +26,9 @@ from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Metrics, Trainer
 from cgm_jax.watchdog import watchdog
 
+HOLDING_EVALUATIONS = 3
+"""A run holds a success if the mean of so many evaluations in a row does."""
+
 
 @dataclass(frozen=True)
 class Job:
@@ -61,7 +64,8 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         parts = list(same)
         if not planned:
             (whole,) = parts
-            parts = split(whole, runs_that_fit(estimate, len(whole.runs)))
+            fitting = runs_that_fit(estimate, len(whole.runs))
+            parts = split(whole, min(fitting, settings.side_by_side))
         jobs += [Job(part, programs) for part in parts]
         largest = max(len(part.runs) for part in parts)
         note = f"{settings.env}: {sum(len(part.runs) for part in parts)} runs"
@@ -119,6 +123,7 @@ def run_jobs(
         recorder = Recorder(directory, job.group, index, standing.rows, checkpoint_seconds)
         if not _train(job, standing, recorder, progress, interruption):
             return None
+        progress.skip((settings.epochs - standing.epoch) * settings.cycles_per_epoch)
         rows += standing.rows
         last += [json.loads(line) for line in standing.rows[-len(job.group.runs) :]]
     return last
@@ -149,7 +154,7 @@ def _train(
     settings, programs, hyper = job.group.settings, job.programs, stack_runs(job.group.runs)
     began, pace = time.monotonic() - standing.wall_s, Pace()
     with watchdog() as something_happened:
-        while standing.epoch < settings.epochs:
+        while not _is_finished(job.group, standing):
             if standing.cycle < settings.cycles_per_epoch:
                 _train_chunk(programs, standing, hyper, pace, progress)
                 standing.wall_s = time.monotonic() - began
@@ -158,7 +163,7 @@ def _train(
                 standing.wall_s = time.monotonic() - began
                 progress.epoch(standing.epoch, recorder.record_epoch(standing, metrics))
             something_happened()
-            if standing.epoch == settings.epochs:
+            if _is_finished(job.group, standing):
                 recorder.save(standing)
             elif interruption.requested:
                 recorder.try_to_save(standing)
@@ -168,6 +173,19 @@ def _train(
             interruption.expendable = False  # as it was during the first chunk, which compiles
     interruption.expendable = True
     return not interruption.requested
+
+
+def _is_finished(group: Group, standing: Standing) -> bool:
+    """Whether all epochs are done, or all runs hold the success at which they may leave."""
+    settings = group.settings
+    if standing.cycle > 0 or settings.leave_at is None:
+        return standing.epoch >= settings.epochs
+    if not 0 < standing.epoch < settings.epochs:
+        return standing.epoch > 0
+    recent = standing.rows[-HOLDING_EVALUATIONS * len(group.runs) :]
+    rates = np.array([json.loads(line)["success_rate"] or 0.0 for line in recent])
+    held = rates.reshape(-1, len(group.runs))
+    return len(held) == HOLDING_EVALUATIONS and bool((held.mean(axis=0) >= settings.leave_at).all())
 
 
 def _train_chunk(

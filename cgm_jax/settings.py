@@ -68,8 +68,14 @@ class Settings:
     target_update_every: int = _setting(40, "updates between moves of the targets", 1, 10**9)
     hidden_layers: tuple[int, ...] = _setting((256, 256, 256), "widths of hidden layers", 1, 10**5)
     replay_transitions: int = _setting(1_000_000, "capacity of the replay buffer", 1, 10**10)
+    evaluate_target: bool = _setting(False, "evaluate and export the target actor")
     evaluation_episodes: int = _setting(20, "noise-free full-goal episodes per epoch", 1, 10**6)
     success_history: int = _setting(10, "evaluation episodes behind sub-goal rates, h", 1, 10**6)
+
+    leave_at: float | None = _setting(
+        None, "end runs early once all side by side hold this success (default: never)", 0, 1
+    )
+    side_by_side: int = _setting(1_000_000, "runs that train side by side, at most", 1, 10**6)
 
     def __post_init__(self) -> None:
         check(self)

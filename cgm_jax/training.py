@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import sequential_vmap
 
-from cgm_jax.ddpg import DDPG, Agent, Minibatch, prepare
+from cgm_jax.ddpg import DDPG, Agent, Minibatch, Parameters, prepare
 from cgm_jax.divergence import freeze_if_failed
 from cgm_jax.exploration import Exploration, draw_exploration, explore
 from cgm_jax.masking import (
@@ -123,7 +123,7 @@ class Trainer:
         shape = (self.env.episode_length, self.settings.environments, self.env.action_size)
         rollout = roll_out(
             self.env,
-            self._policy(state),
+            self._policy(state, state.agent.actor),
             reset_key,
             masks,
             draw_exploration(noise_key, shape, hyper),
@@ -173,7 +173,8 @@ class Trainer:
         """
         key, reset_key = jax.random.split(state.key)
         full = jnp.ones((self.settings.evaluation_episodes, self._sizes[1]))
-        rollout = roll_out(self.env, self._policy(state), reset_key, full)
+        policy = self._policy(state, deterministic_actor(self.settings, state.agent))
+        rollout = roll_out(self.env, policy, reset_key, full)
         valid = rollout.valid
         episodes = valid.sum()  # of which there may be none: 0 / 0 is NaN, written as null
         statistics = state.statistics
@@ -196,14 +197,14 @@ class Trainer:
             statistics=empty_statistics(len(rates)),
         ), metrics
 
-    def _policy(self, state: TrainingState) -> Policy:
-        """The actor, with noise where there is some."""
+    def _policy(self, state: TrainingState, actor: Parameters) -> Policy:
+        """An actor with the state's normaliser, and with noise where there is some."""
 
         def policy(
             observation: jax.Array, goal: jax.Array, exploration: Exploration | None
         ) -> jax.Array:
             inputs = network_input(state.normaliser, observation, goal)
-            action = self.ddpg.act(state.agent.actor, inputs)
+            action = self.ddpg.act(actor, inputs)
             return action if exploration is None else explore(exploration, action)
 
         return policy
@@ -248,6 +249,15 @@ class Trainer:
         return jax.lax.scan(
             lambda agent, batch: self.ddpg.update(agent, batch, hyper), agent, batches
         )
+
+
+def deterministic_actor(settings: Settings, agent: Agent) -> Parameters:
+    """The actor that is evaluated and exported.
+
+    The target actor, an average over recent updates, swings less from one evaluation to the
+    next than the actor itself.
+    """
+    return agent.target_actor if settings.evaluate_target else agent.actor
 
 
 def _vmap_for_platform(function: Callable[..., Any]) -> Callable[..., Any]:

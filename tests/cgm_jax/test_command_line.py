@@ -1,6 +1,7 @@
 """The programs as a user runs them, each in a process of its own."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -192,3 +193,17 @@ def test_settings_are_checked_without_importing_jax() -> None:
     )
     result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False)
     assert result.returncode == 0
+
+
+def test_the_line_is_the_same_where_output_is_plain_ascii() -> None:
+    lines = [
+        subprocess.run(
+            [sys.executable, "-m", "cgm_jax.train", "--out", "x", "stray", "words"],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONIOENCODING": encoding},
+        ).stderr
+        for encoding in ("ascii", "utf-8")
+    ]
+    assert lines == ["error: Unrecognized options: stray, words\n"] * 2

@@ -4,6 +4,7 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -37,14 +38,14 @@ def reaching_policy(gain: float) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunDirectory]:
     """Two runs on reach: one policy stands still, the other goes straight to the goal."""
-    directory = RunDirectory.create(tmp_path_factory.mktemp("known") / "out")
     runs = tuple(Run(name, Hyperparameters()) for name in ("still", "straight"))
-    directory.write_config([Group(REACH, runs)], "smoke", "cpu")
-    for run, gain in zip(runs, (0.0, 15.0), strict=True):
-        directory.write_policy(run, reaching_policy(gain))
-    return directory
+    with RunDirectory.claimed(tmp_path_factory.mktemp("known") / "out", fresh=True) as directory:
+        directory.write_config([Group(REACH, runs)], "smoke", "cpu")
+        for run, gain in zip(runs, (0.0, 15.0), strict=True):
+            directory.write_policy(run, reaching_policy(gain))
+        yield directory
 
 
 def grips(film: Film) -> np.ndarray:

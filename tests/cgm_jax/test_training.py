@@ -11,7 +11,7 @@ import pytest
 from cgm_jax.grid import Run
 from cgm_jax.programs import compilations, make_programs, stack_runs
 from cgm_jax.settings import Hyperparameters, SettingError
-from cgm_jax.training import Metrics, Trainer
+from cgm_jax.training import Metrics, Trainer, deterministic_actor
 from cgm_jax.training_state import TrainingState, stack
 from tests.cgm_jax.probe import TINY, AlwaysFaultyProbe, FaultyProbe, OneStepProbe
 from tests.examples.point_mass import PointMass
@@ -92,7 +92,8 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
         "random_action_probability": 0.9,
         "seed": 1,
     }
-    assert set(changes) == {field.name for field in dataclasses.fields(Hyperparameters)}
+    later = {"her_filter", "factorised"}  # no effect within this short run: tested below
+    assert {*changes, *later} == {field.name for field in dataclasses.fields(Hyperparameters)}
     runs = [base] + [dataclasses.replace(base, **{name: value}) for name, value in changes.items()]
     state, _ = epochs(runs, count=1)
     actors = bits(state.agent.actor)
@@ -177,3 +178,65 @@ def test_goals_with_more_masks_than_can_be_tabulated_are_refused() -> None:
     trainer = Trainer(OneStepProbe((0.0,), goal_size=13), TINY)
     with pytest.raises(SettingError, match="env: its goal has 13 dimensions"):
         trainer.initial_state(Hyperparameters())
+
+
+def test_the_filter_decides_which_episodes_are_relabelled() -> None:
+    state, _ = epochs([Hyperparameters()], count=1)
+    state = jax.tree.map(lambda leaf: leaf[0], state)
+    episodes = state.replay.episodes
+    still = episodes.achieved_goal.at[1:].set(episodes.achieved_goal[1:, :1])  # all but the first
+    state = state.replace(
+        replay=state.replay.replace(episodes=episodes.replace(achieved_goal=still))
+    )
+    assert int(state.replay.inserted) == 16
+    for her_filter in (False, True):
+        hyper = Hyperparameters(her_k=6.0, her_filter=her_filter, cgm=False)
+        rewards = TRAINER.minibatches(state, hyper, jax.random.key(0)).reward
+        # Hindsight goals of episodes that stood still are achieved throughout.
+        achieved = float((rewards == 0).mean())
+        assert (achieved > 0.75) != her_filter
+
+
+def test_masks_are_judged_by_product_or_joint_rate() -> None:
+    state = TRAINER.initial_state(Hyperparameters())
+    # Two sub-goals that succeed together in half of the rollouts, and never alone.
+    history = state.history.replace(
+        successes=jnp.tile(jnp.array([[0.0, 0.0], [1.0, 1.0]]), (5, 1)),
+        count=jnp.asarray(10, jnp.int32),
+    )
+    state = state.replace(history=history)
+    product = TRAINER.curriculum(state, Hyperparameters(factorised=True))[0]
+    joint = TRAINER.curriculum(state, Hyperparameters(factorised=False))[0]
+    np.testing.assert_allclose(product, [1.0, 0.5, 0.5, 0.25])
+    np.testing.assert_allclose(joint, [1.0, 0.5, 0.5, 0.5])
+
+
+def test_the_evaluated_actor_is_the_one_that_the_settings_name() -> None:
+    state, _ = epochs([Hyperparameters()], count=1)
+    for evaluate_target, expected in (
+        (True, state.agent.target_actor),
+        (False, state.agent.actor),
+    ):
+        settings = dataclasses.replace(TINY, evaluate_target=evaluate_target)
+        chosen = deterministic_actor(settings, state.agent)
+        for leaf, same in zip(bits(chosen), bits(expected), strict=True):
+            np.testing.assert_array_equal(leaf, same)
+    pairs = zip(bits(state.agent.actor), bits(state.agent.target_actor), strict=True)
+    assert any((one != other).any() for one, other in pairs)
+
+
+def test_evaluation_plays_the_target_actor_where_the_settings_say_so() -> None:
+    """A target actor that pushes one way only cannot achieve what the actor achieves."""
+    success = {}
+    for evaluate_target in (False, True):
+        trainer = Trainer(
+            OneStepProbe(goals=(1.0,)), dataclasses.replace(TINY, evaluate_target=evaluate_target)
+        )
+        state = trainer.initial_state(Hyperparameters())
+        actors = [jax.tree.map(jnp.zeros_like, state.agent.actor) for _ in range(2)]
+        for actor, bias in zip(actors, (1.0, -1.0), strict=True):
+            actor["params"]["layer_2"]["bias"] += bias
+        agent = state.agent.replace(actor=actors[0], target_actor=actors[1])
+        _, metrics = trainer.evaluate(state.replace(agent=agent), Hyperparameters())
+        success[evaluate_target] = float(metrics["success_rate"])
+    assert success == {False: 1.0, True: 0.0}
