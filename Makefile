@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 
-.PHONY: setup sweep test test-fast test-sb3 lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -19,10 +19,11 @@ sweep: setup
 	$(RUN) -m cgm_jax.sweep --preset quick $(ARGS)
 
 test: lint
-	$(RUN) -m pytest $(ARGS)
-
-test-fast: lint
 	$(RUN) -m pytest -m "not slow" $(ARGS)
+
+# What takes long: MJX, kill -9, memory. .ci/run runs both.
+test-slow: setup
+	$(RUN) -m pytest -m slow $(ARGS)
 
 # Training with Stable-Baselines3 takes PyTorch, which is large and in neither setup nor lock.
 test-sb3: setup

@@ -56,7 +56,7 @@ def learning_curves(rows: Rows) -> Figure:
     )
     plain = {key[:2]: same for key, same in groups.items() if key[2] is None}
     masked = {key: same for key, same in groups.items() if key[2] is not None} or groups
-    figure, panels = _panels(len(masked), width=5.0, height=4.0, columns=3)
+    figure, panels = make_panels(len(masked), width=5.0, height=4.0, columns=3)
     for panel, ((env, her, kappa), same) in zip(panels, sorted(masked.items()), strict=True):
         title = f"{_title(env)}, {'DDPG + HER' if her else 'DDPG'}"
         if kappa is not None:
@@ -70,8 +70,8 @@ def learning_curves(rows: Rows) -> Figure:
             _draw_success(panel, runs, label, colour)
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
         panel.set_title(title)
-        _label_steps(panel)
-        _label_success(panel, "success rate, full goal")
+        label_steps(panel)
+        label_success(panel, "success rate, full goal")
         panel.legend(fontsize=8, loc="lower right", framealpha=0.7)
     return figure
 
@@ -80,7 +80,7 @@ def epochs_to_half(rows: Rows) -> Figure:
     """Epochs to 50 % success over c_g, a panel per environment and HER, a line per kappa."""
     masked = [row for row in rows if row["cgm"]] or rows
     groups = _grouped(masked, lambda row: (row["env"], row["her"]))
-    figure, panels = _panels(len(groups), width=5.0, height=4.0)
+    figure, panels = make_panels(len(groups), width=5.0, height=4.0)
     for panel, ((env, her), same) in zip(panels, groups.items(), strict=True):
         last = max(row["epoch"] for row in same)
         for kappa, kappa_rows in sorted(_grouped(same, lambda row: row["kappa"]).items()):
@@ -112,7 +112,7 @@ def epochs_to_half(rows: Rows) -> Figure:
 def mask_success(rows: Rows) -> Figure:
     """Estimated and training success per mask, for the best setting with CGM per environment."""
     by_env = _grouped([row for row in rows if row["cgm"]] or rows, lambda row: row["env"])
-    figure, panels = _panels(2 * len(by_env), width=5.0, height=4.0, columns=2)
+    figure, panels = make_panels(2 * len(by_env), width=5.0, height=4.0, columns=2)
     pairs = zip(panels[::2], panels[1::2], strict=True)
     for (estimated, training), (env, env_rows) in zip(pairs, by_env.items(), strict=True):
         label, best = max(
@@ -122,9 +122,9 @@ def mask_success(rows: Rows) -> Figure:
         for panel, name in ((estimated, "mask_rate_estimated"), (training, "mask_rate_training")):
             _draw_masks(panel, best, name)
             panel.set_title(f"{_title(env)}, {label}", fontsize=10)
-            _label_steps(panel)
-        _label_success(estimated, "estimated success of masked goal")
-        _label_success(training, "training success of masked goal")
+            label_steps(panel)
+        label_success(estimated, "estimated success of masked goal")
+        label_success(training, "training success of masked goal")
         training.legend(title="kept axes", fontsize=8, title_fontsize=8, loc="center right")
     return figure
 
@@ -132,7 +132,7 @@ def mask_success(rows: Rows) -> Figure:
 def _draw_success(panel: Axes, rows: Rows, label: str, colour: Any) -> None:
     """One line of learning curves, with a cross for every run that diverged."""
     failed = _failures(rows)
-    _draw_quartiles(panel, *_curves(rows, "success_rate"), label + _diverged(failed), colour)
+    draw_quartiles(panel, *curves_of(rows, "success_rate"), label + _diverged(failed), colour)
     for row in failed:
         panel.plot(row["env_steps"], row["success_rate"] or 0.0, "x", color=colour, zorder=4)
 
@@ -180,10 +180,10 @@ def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
     colours = plt.get_cmap("turbo")(np.linspace(0.05, 0.95, masks))
     few = [*(1 << i for i in range(size)), masks - 1]  # single dimensions and the full goal
     for mask in range(masks) if masks <= 16 else few:
-        steps, curves = _curves(rows, lambda row, mask=mask: row[name][mask])
+        steps, curves = curves_of(rows, lambda row, mask=mask: row[name][mask])
         if not np.isfinite(curves).any():
             continue
-        _draw_quartiles(panel, steps, curves, mask_label(mask, size), colours[mask])
+        draw_quartiles(panel, steps, curves, mask_label(mask, size), colours[mask])
 
 
 def mask_label(mask: int, size: int) -> str:
@@ -193,19 +193,24 @@ def mask_label(mask: int, size: int) -> str:
     return " ".join(kept) or "none"
 
 
-def _draw_quartiles(
-    panel: Axes, steps: np.ndarray, curves: np.ndarray, label: str, colour: Any = None
+def draw_quartiles(
+    panel: Axes,
+    steps: np.ndarray,
+    curves: np.ndarray,
+    label: str,
+    colour: Any = None,
+    style: str = "-",
 ) -> None:
     """Median line and quartile band of curves [runs, epochs], where any run has a value."""
     known = np.isfinite(curves).any(axis=0)
     low, median, high = np.nanpercentile(curves[:, known], QUARTILES, axis=0)
     marker = "." if known.sum() < 2 else None
-    (line,) = panel.plot(steps[known], median, label=label, color=colour, marker=marker)
+    (line,) = panel.plot(steps[known], median, style, label=label, color=colour, marker=marker)
     if len(curves) > 1:
         panel.fill_between(steps[known], low, high, color=line.get_color(), alpha=0.2, linewidth=0)
 
 
-def _curves(rows: Rows, value: Any) -> tuple[np.ndarray, np.ndarray]:
+def curves_of(rows: Rows, value: Any) -> tuple[np.ndarray, np.ndarray]:
     """env_steps [epochs] and values [runs, epochs]; NaN where a run has no value."""
     read = value if callable(value) else lambda row: row[value]
     steps = sorted({row["env_steps"] for row in rows})
@@ -246,7 +251,10 @@ def _other_axes(row: dict[str, Any]) -> list[str]:
     return tail.split("_")[1:-1]  # between the mask sampler and the seed
 
 
-def _panels(count: int, width: float, height: float, columns: int = 2) -> tuple[Figure, list[Axes]]:
+def make_panels(
+    count: int, width: float, height: float, columns: int = 2
+) -> tuple[Figure, list[Axes]]:
+    """A figure with `count` panels of this size (inches), in rows of at most `columns`."""
     columns = min(columns, count)
     lines = -(-count // columns)
     figure, grid = plt.subplots(
@@ -268,12 +276,14 @@ def _title(env: str) -> str:
     return env.replace("_", "-") if ".py" not in env else Path(env).name
 
 
-def _label_steps(panel: Axes) -> None:
+def label_steps(panel: Axes) -> None:
+    """Name the horizontal axis env_steps, in thousands."""
     panel.set_xlabel("env_steps (thousands)")
     panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: f"{step / 1000:g}"))
 
 
-def _label_success(panel: Axes, label: str) -> None:
+def label_success(panel: Axes, label: str) -> None:
+    """Make the vertical axis a success rate, in percent."""
     panel.set_ylabel(f"{label} (%)")
     panel.set_ylim(-0.03, 1.03)
     panel.yaxis.set_major_formatter(FuncFormatter(lambda rate, _: f"{100 * rate:.0f}"))

@@ -33,7 +33,7 @@ _QUICK_WITH_HER: Grid = {
     "c_g": [0.1, 0.4],
     "kappa": [32.0],
     "seed": [0],
-    "epochs": [60],
+    "epochs": [40],
     "environments": [16],
     "hidden_layers": [(256, 256, 256)],
 }
@@ -71,7 +71,7 @@ PRESETS: dict[str, Grid] = {
         "replay_transitions": [50_000],
     },
     # The manipulation tasks with HER on a CPU, in minutes per run.
-    "cpu": {**_CPU_WITH_HER, "env": ["push"], "epochs": [25]},
+    "cpu": {**_CPU_WITH_HER, "env": ["push"], "epochs": [20]},
     # As printed: all 18 points, both tasks, with and without HER. For a GPU, or for patience.
     "paper": {
         "env": ["push", "pick_and_place"],
@@ -86,8 +86,8 @@ PRESETS: dict[str, Grid] = {
 # Where a preset's tasks differ. The paper's push used 4 workers of 4 rollouts, pick-and-place
 # 16; summed gradients of w workers act, under Adam, like one batch of 256 w.
 BY_ENV: dict[str, dict[str, Grid]] = {
-    "quick": {"push": {**_QUICK_WITH_HER, "epochs": [25]}, "pick_and_place": _QUICK_WITH_HER},
-    "cpu": {"reach": {"epochs": [3]}, "pick_and_place": {"epochs": [60]}},
+    "quick": {"push": {**_QUICK_WITH_HER, "epochs": [20]}, "pick_and_place": _QUICK_WITH_HER},
+    "cpu": {"reach": {"epochs": [3]}, "pick_and_place": {"epochs": [40]}},
     "paper": {
         "push": {"environments": [16], "batch_size": [1024]},
         "pick_and_place": {"environments": [64], "batch_size": [4096]},

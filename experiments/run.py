@@ -1,0 +1,97 @@
+"""Answer questions of the report: `python -m experiments.run QUESTION [QUESTION ...]`.
+
+Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP, where each goes on from where
+it stopped, and then writes results/QUESTION/: the configs of its sweeps, learning.csv, tables and
+figures. `--draw` leaves the training out and makes do with what has been trained so far.
+"""
+
+import argparse
+import json
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from cgm_jax.figures import epochs_to_half, learning_curves, mask_success
+from cgm_jax.run_directory import CONFIG, RunDirectory
+from experiments.comparison import comparison
+from experiments.tables import improvement, learning_speed, write_table
+
+HERE = Path(__file__).parent
+PLANS = HERE / "plans.toml"
+RUNS = Path("runs") / "experiments"
+RESULTS = HERE / "results"
+COLUMNS = (
+    *("sweep", "run", "env", "seed", "c_g", "kappa", "her", "cgm", "epoch"),
+    *("env_steps", "updates", "wall_s", "success_rate", "physics_warnings"),
+)
+FIGURES = {
+    "comparison": comparison,
+    "learning_curves": learning_curves,
+    "epochs_to_half": epochs_to_half,
+    "mask_success": mask_success,
+}
+
+
+def train(sweep: str, options: str) -> None:
+    """Train a sweep, or what is missing of it; a stopped one ends this program as it ended."""
+    command = [sys.executable, "-m", "cgm_jax.sweep", *shlex.split(options)]
+    code = subprocess.run([*command, "--out", str(RUNS / sweep)], check=False).returncode
+    if code != 0:
+        sys.exit(code)
+
+
+def trained_rows(sweep: str) -> list[dict[str, Any]]:
+    """All metrics of a sweep so far, marked with its name."""
+    directory = RUNS / sweep
+    if not (directory / CONFIG).is_file():
+        return []
+    return [{"sweep": sweep, **row} for row in RunDirectory.open(directory).metrics()]
+
+
+def write_results(question: str, plan: dict[str, Any]) -> Path:
+    """Write everything that the report shows for a question."""
+    target = RESULTS / question
+    target.mkdir(parents=True, exist_ok=True)
+    rows = [row for sweep in plan["sweeps"] for row in trained_rows(sweep)]
+    if not rows:
+        sys.exit(f"{question}: nothing trained yet")
+    for sweep in plan["sweeps"]:
+        if (RUNS / sweep / CONFIG).is_file():
+            config = json.loads((RUNS / sweep / CONFIG).read_text())
+            (target / f"{sweep}.json").write_text(json.dumps(config, indent=1) + "\n")
+    write_table(target / "learning.csv", [{name: row[name] for name in COLUMNS} for row in rows])
+    write_table(target / "speed.csv", learning_speed(rows))
+    if table := improvement(rows):
+        write_table(target / "improvement.csv", table)
+    for name in plan["figures"]:
+        _save(FIGURES[name](rows), target / f"{name}.png")
+    return target
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Train and draw the questions named on the command line."""
+    plans = tomllib.loads(PLANS.read_text())
+    parser = argparse.ArgumentParser(prog="python -m experiments.run")
+    parser.add_argument("questions", nargs="+", choices=list(plans["questions"]))
+    parser.add_argument("--draw", action="store_true", help="draw what there is, train nothing")
+    options = parser.parse_args()
+    for question in options.questions:
+        plan = plans["questions"][question]
+        for sweep in [] if options.draw else plan["sweeps"]:
+            train(sweep, plans["sweeps"][sweep])
+        print(write_results(question, plan))
+
+
+if __name__ == "__main__":
+    main()

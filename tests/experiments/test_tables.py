@@ -1,0 +1,60 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.tables import (
+    area_under_curve,
+    improvement,
+    learning_speed,
+    probability_of_improvement,
+)
+
+
+def run(seed: int, rates: list[float | None], *, cgm: bool = True) -> list[dict[str, Any]]:
+    """Rows of one run: an evaluation every 1,000 env_steps and 2 seconds."""
+    fixed = {"env": "push", "her": True, "cgm": cgm, "c_g": 0.1, "kappa": 32.0, "seed": seed}
+    return [
+        {**fixed, "env_steps": 1000 * i, "wall_s": 2.0 * i, "success_rate": rate}
+        for i, rate in enumerate(rates, start=1)
+    ]
+
+
+def test_learning_speed_is_the_median_of_first_arrivals() -> None:
+    rows = run(0, [0.2, 0.6, 0.9]) + run(1, [0.5, 0.4, 0.7]) + run(2, [0.0, 0.1, 0.5])
+    (entry,) = learning_speed(rows)
+    assert entry["seeds"] == 3
+    assert (entry["reach_50"], entry["env_steps_to_50"], entry["wall_s_to_50"]) == (3, 2000, 4)
+    assert (entry["reach_90"], entry["env_steps_to_90"]) == (1, "")  # two of three never do
+    assert entry["final_success"] == pytest.approx(1.6 / 3, abs=1e-3)
+    assert entry["worst_seed"] == pytest.approx(0.2)
+
+
+def test_settings_without_cgm_share_a_line_whatever_c_g_they_carry() -> None:
+    rows = [*run(0, [0.5], cgm=False), {**run(1, [0.7], cgm=False)[0], "c_g": 0.8}]
+    (entry,) = learning_speed(rows)
+    assert (entry["cgm"], entry["c_g"], entry["seeds"]) == (False, None, 2)
+
+
+def test_area_counts_a_missing_evaluation_as_failure_and_stops_where_told() -> None:
+    assert area_under_curve(run(0, [0.5, None, 1.0]), 3000) == pytest.approx(0.5)
+    assert area_under_curve(run(0, [0.5, None, 1.0]), 2000) == pytest.approx(0.25)
+
+
+def test_probability_of_improvement_by_hand() -> None:
+    # Of six pairs three are won, one is tied.
+    probability = probability_of_improvement(np.array([1.0, 3.0]), np.array([0.0, 1.0, 4.0]))
+    assert float(probability) == pytest.approx(3.5 / 6)
+
+
+def test_improvement_compares_as_far_as_all_runs_got() -> None:
+    with_cgm = run(0, [0.5, 0.6]) + run(1, [0.7])
+    without = run(0, [0.1, 1.0], cgm=False) + run(1, [0.2, 1.0], cgm=False)
+    (entry,) = improvement(with_cgm + without, resamples=200)
+    assert entry["probability_of_improvement"] == 1.0  # after 1,000 env_steps
+    assert (entry["low"], entry["high"]) == (1.0, 1.0)
+    assert (entry["seeds_with"], entry["seeds_without"]) == (2, 2)
+
+
+def test_one_seed_proves_nothing() -> None:
+    assert improvement(run(0, [0.5]) + run(0, [0.1], cgm=False)) == []
