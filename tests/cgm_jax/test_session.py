@@ -23,8 +23,10 @@ from brax.envs.base import State
 from jax.experimental.buffer_callback import buffer_callback
 
 from cgm_jax import figures, recorder, runner, session, sweep
+from cgm_jax.checkpoint import Standing
+from cgm_jax.grid import Group, Run
 from cgm_jax.lock import locked
-from cgm_jax.settings import SettingError
+from cgm_jax.settings import Hyperparameters, SettingError, Settings
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
 from tests.examples.point_mass import PointMass
 
@@ -99,6 +101,41 @@ def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
     assert sweep.main(["--resume", str(out)]) == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "checkpoints").iterdir()} == before
     assert_same_results(whole, out)
+
+
+def test_one_at_a_time_runs_leave_once_they_hold_the_success_and_stay_away(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = ["--side-by-side", "1", "--leave-at", "0"]  # a success that any run holds
+    assert train(out, *options) == 0
+    written = [(row["kappa"], row["epoch"]) for row in rows(out)]
+    assert written == [(4.0, 1), (4.0, 2), (4.0, 3), (32.0, 1), (32.0, 2), (32.0, 3)]
+    assert len(list((out / "policies").glob("*.npz"))) == RUNS
+    assert train(out, *options) == 0
+    assert [(row["kappa"], row["epoch"]) for row in rows(out)] == written
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "finished"),
+    [
+        ([0.4, 0.5, 0.6], [0.9, 0.9, 0.0], True),  # means 0.5 and 0.6
+        ([0.4, 0.5, 0.5], [0.9, 0.9, 0.9], False),  # all must hold it
+        ([0.9, 0.9], [0.9, 0.9], False),  # not three evaluations yet
+        ([0.0, 0.5, 0.5, 0.5], [0.0, 0.5, None, 1.0], True),  # only the last three count
+    ],
+)
+def test_all_runs_side_by_side_must_hold_the_success(
+    first: list[float], second: list[float | None], finished: bool
+) -> None:
+    settings = Settings(epochs=9, leave_at=0.5)
+    group = Group(settings, tuple(Run(name, Hyperparameters()) for name in "ab"))
+    lines = [
+        json.dumps({"success_rate": r}) for pair in zip(first, second, strict=True) for r in pair
+    ]
+    state: Any = None
+    standing = Standing(state, epoch=len(first), rows=lines)
+    assert runner._is_finished(group, standing) == finished
+    standing.cycle = 1  # in the middle of an epoch nothing is decided
+    assert not runner._is_finished(group, standing)
 
 
 def test_wall_s_goes_on_over_interruptions_and_jumps_of_the_clock(
