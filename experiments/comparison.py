@@ -30,7 +30,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
                 panel,
                 steps,
                 values,
-                f"{label}{variant}, {len(seeds)} seeds",
+                f"{label}{variant}, {_count(len(seeds))}",
                 COLOURS[her],
                 "-" if cgm else "--",
             )
@@ -40,3 +40,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
         label_success(panel, "success rate, full goal")
         panel.legend(fontsize=8, loc="upper left", framealpha=0.7)
     return figure
+
+
+def _count(seeds: int) -> str:
+    return "1 seed" if seeds == 1 else f"{seeds} seeds"

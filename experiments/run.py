@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 
 from cgm_jax.figures import epochs_to_half, learning_curves, mask_success
 from cgm_jax.run_directory import CONFIG, RunDirectory
+from cgm_jax.settings import Settings
 from experiments.comparison import comparison
-from experiments.tables import improvement, learning_speed, write_table
+from experiments.tables import final_success, improvement, learning_speed, write_table
 
 HERE = Path(__file__).parent
 PLANS = HERE / "plans.toml"
@@ -47,11 +48,26 @@ def train(sweep: str, options: str) -> None:
 
 
 def trained_rows(sweep: str) -> list[dict[str, Any]]:
-    """All metrics of a sweep so far, marked with its name."""
-    directory = RUNS / sweep
-    if not (directory / CONFIG).is_file():
+    """Metrics of a sweep's runs that are done, marked with its name."""
+    if not (RUNS / sweep / CONFIG).is_file():
         return []
-    return [{"sweep": sweep, **row} for row in RunDirectory.open(directory).metrics()]
+    directory = RunDirectory.open(RUNS / sweep)
+    rows = directory.metrics()
+    done = {
+        run.name
+        for group in directory.groups()
+        for run in group.runs
+        if is_done([row for row in rows if row["run"] == run.name], group.settings)
+    }
+    return [{"sweep": sweep, **row} for row in rows if row["run"] in done]
+
+
+def is_done(rows: list[dict[str, Any]], settings: Settings) -> bool:
+    """Whether a run got to its last epoch, or holds the success at which it may leave."""
+    if not rows:
+        return False
+    held = settings.leave_at is not None and final_success(rows) >= settings.leave_at
+    return held or rows[-1]["epoch"] == settings.epochs
 
 
 def write_results(question: str, plan: dict[str, Any]) -> Path:
