@@ -29,7 +29,7 @@ from cgm_jax.settings import Hyperparameters
 from envs import GoalEnvironment
 from experiments.tables import write_table
 
-EPISODES = 200
+EPISODES = 100
 """Per policy, mask and kind of noise."""
 
 Rates = dict[str, jax.Array]
