@@ -23,11 +23,9 @@ from cgm_jax.progress import SweepProgress
 from cgm_jax.recorder import Recorder
 from cgm_jax.run_directory import RunDirectory
 from cgm_jax.settings import Hyperparameters, SettingError
+from cgm_jax.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.training import Metrics, Trainer
 from cgm_jax.watchdog import watchdog
-
-HOLDING_EVALUATIONS = 3
-"""A run holds a success if the mean of so many evaluations in a row does."""
 
 
 @dataclass(frozen=True)
@@ -182,10 +180,10 @@ def _is_finished(group: Group, standing: Standing) -> bool:
         return standing.epoch >= settings.epochs
     if not 0 < standing.epoch < settings.epochs:
         return standing.epoch > 0
-    recent = standing.rows[-HOLDING_EVALUATIONS * len(group.runs) :]
-    rates = np.array([json.loads(line)["success_rate"] or 0.0 for line in recent])
-    held = rates.reshape(-1, len(group.runs))
-    return len(held) == HOLDING_EVALUATIONS and bool((held.mean(axis=0) >= settings.leave_at).all())
+    runs = len(group.runs)
+    recent = standing.rows[-HOLDING_EVALUATIONS * runs :]
+    rates = [json.loads(line)["success_rate"] for line in recent]
+    return all(holds(rates[i::runs], settings.leave_at) for i in range(runs))
 
 
 def _train_chunk(

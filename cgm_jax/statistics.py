@@ -4,6 +4,15 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+HOLDING_EVALUATIONS = 3
+"""A run holds a success if the mean of so many evaluations in a row does."""
+
+
+def holds(rates: Sequence[float | None], level: float) -> bool:
+    """Whether the last evaluations of one run, taken together, reach `level`."""
+    last = [rate or 0.0 for rate in rates[-HOLDING_EVALUATIONS:]]
+    return len(last) == HOLDING_EVALUATIONS and sum(last) / len(last) >= level
+
 
 def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
     """Confidence interval of a success rate (Wilson 1927); z = 1.96 for 95 %.

@@ -20,8 +20,9 @@ from matplotlib.figure import Figure
 from cgm_jax.figures import epochs_to_half, learning_curves, mask_success
 from cgm_jax.run_directory import CONFIG, RunDirectory
 from cgm_jax.settings import Settings
+from cgm_jax.statistics import holds
 from experiments.comparison import comparison
-from experiments.tables import final_success, improvement, learning_speed, write_table
+from experiments.tables import improvement, learning_speed, write_table
 
 HERE = Path(__file__).parent
 PLANS = HERE / "plans.toml"
@@ -66,8 +67,10 @@ def is_done(rows: list[dict[str, Any]], settings: Settings) -> bool:
     """Whether a run got to its last epoch, or holds the success at which it may leave."""
     if not rows:
         return False
-    held = settings.leave_at is not None and final_success(rows) >= settings.leave_at
-    return held or rows[-1]["epoch"] == settings.epochs
+    if rows[-1]["epoch"] == settings.epochs:
+        return True
+    rates = [row["success_rate"] for row in rows]
+    return settings.leave_at is not None and holds(rates, settings.leave_at)
 
 
 def write_results(question: str, plan: dict[str, Any]) -> Path:

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from cgm_jax.statistics import first_to_reach
+from cgm_jax.statistics import HOLDING_EVALUATIONS, first_to_reach
 
 Row = dict[str, Any]
 LEVELS = (0.5, 0.9)
 SETTING = ("env", "her", "cgm", "c_g", "kappa", "variant")
-LAST_EVALUATIONS = 3
-"""Evaluations that count as final, to smooth their noise."""
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
@@ -63,8 +61,8 @@ def learning_speed(rows: Sequence[Row]) -> list[Row]:
 
 
 def final_success(run: Sequence[Row]) -> float:
-    """Mean success of a run's last evaluations."""
-    rates = [row["success_rate"] or 0.0 for row in run[-LAST_EVALUATIONS:]]
+    """Mean success of a run's last evaluations, as many as it takes to hold a success."""
+    rates = [row["success_rate"] or 0.0 for row in run[-HOLDING_EVALUATIONS:]]
     return round(float(np.mean(rates)), 3)
 
 
