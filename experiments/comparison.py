@@ -18,7 +18,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
     tasks = sorted({setting[0] for setting in settings})
     figure, axes = make_panels(len(tasks), width=6.0, height=4.2)
     for panel, task in zip(axes, tasks, strict=True):
-        for (env, her, cgm, c_g, kappa, variant), seeds in settings.items():
+        for (env, her, cgm, c_g, kappa), seeds in settings.items():
             if env != task:
                 continue
             label = "DDPG + HER" if her else "DDPG"
@@ -30,7 +30,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
                 panel,
                 steps,
                 values,
-                f"{label}{variant}, {_count(len(seeds))}",
+                f"{label}, {_count(len(seeds))}",
                 COLOURS[her],
                 "-" if cgm else "--",
             )

@@ -14,7 +14,7 @@ from cgm_jax.statistics import HOLDING_EVALUATIONS, first_to_reach
 
 Row = dict[str, Any]
 LEVELS = (0.5, 0.9)
-SETTING = ("env", "her", "cgm", "c_g", "kappa", "variant")
+SETTING = ("env", "her", "cgm", "c_g", "kappa")
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
@@ -30,7 +30,7 @@ def runs_by_setting(rows: Sequence[Row]) -> dict[tuple[Any, ...], dict[int, list
     settings: dict[tuple[Any, ...], dict[int, list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         curriculum = (row["c_g"], row["kappa"]) if row["cgm"] else (None, None)
-        setting = (row["env"], row["her"], row["cgm"], *curriculum, row.get("variant", ""))
+        setting = (row["env"], row["her"], row["cgm"], *curriculum)
         settings[setting][row["seed"]].append(row)
     return {setting: dict(seeds) for setting, seeds in settings.items()}
 
@@ -94,7 +94,7 @@ def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
     settings = runs_by_setting(rows)
     table = []
     for one, other in itertools.product(settings, repeat=2):
-        if one[:2] != other[:2] or not one[2] or other[2] or one[-1] != other[-1]:
+        if one[:2] != other[:2] or not one[2] or other[2]:
             continue
         pair = [list(settings[key].values()) for key in (one, other)]
         if min(map(len, pair)) < 2:

@@ -3,6 +3,7 @@
 The programs compile once for all tests; processes of their own are in test_resume.py.
 """
 
+import contextlib
 import functools
 import json
 import os
@@ -10,7 +11,7 @@ import resource
 import shutil
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -194,17 +195,23 @@ def test_without_any_checkpoint_the_group_begins_again(
     assert_same_results(whole, out)
 
 
+@contextlib.contextmanager
+def file_sizes_limited_within() -> Iterator[Callable[[int], None]]:
+    """Hands out a function that limits the size of files, a full disk as it were, for the block."""
+    _, hard = before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 def test_a_full_disk_costs_checkpoints_but_not_the_training(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    _, hard = before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with monkeypatch.context() as patch:
-        at_epoch(patch, 2, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard)))
-        try:
-            assert train(out, *ALWAYS) == 74  # its last checkpoint must be written
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with monkeypatch.context() as patch, file_sizes_limited_within() as limit:
+        at_epoch(patch, 2, lambda: limit(50_000))
+        assert train(out, *ALWAYS) == 74  # its last checkpoint must be written
     text = capsys.readouterr().err
     assert "no checkpoint written (File too large); the one before stays, and training" in text
     assert f"error: cannot write to {out}: File too large\nto go on: " in text
@@ -219,18 +226,10 @@ def test_metrics_that_cannot_be_written_end_the_sweep_which_can_go_on(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    _, hard = before = resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    def fill() -> None:  # the next row will be torn
-        size = (out / "metrics.jsonl").stat().st_size
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, hard))
-
-    with monkeypatch.context() as patch:
-        at_epoch(patch, 3, fill)
-        try:
-            assert train(out, *ALWAYS) == 74
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with monkeypatch.context() as patch, file_sizes_limited_within() as limit:
+        # The next row will be torn.
+        at_epoch(patch, 3, lambda: limit((out / "metrics.jsonl").stat().st_size + 100))
+        assert train(out, *ALWAYS) == 74
     assert f"error: cannot write to {out}: File too large" in capsys.readouterr().err
     assert not (out / "metrics.jsonl").read_text().endswith("\n")
     assert train(out) == 0
