@@ -1,4 +1,8 @@
-"""Goal-conditioned deep deterministic policy gradient (Lillicrap et al. 2016)."""
+"""Goal-conditioned deep deterministic policy gradient (Lillicrap et al. 2016).
+
+The actor may be updated less often than the critic (Fujimoto et al. 2018): half the updates of the
+actor cost a quarter of the time, and little of the learning.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -128,34 +132,54 @@ class DDPG:
     def update(
         self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
     ) -> tuple[Agent, dict[str, jax.Array]]:
-        """One gradient step on both networks, both from their present weights.
+        """One gradient step on both networks, both from their present weights; targets follow.
 
         Returns:
             The agent, and scalars to log: critic_loss, actor_loss, value.
         """
-        critic_gradient, critic_info = jax.grad(self.critic_loss, has_aux=True)(
-            agent.critic, agent, batch, hyper
+        agent, actor_info = self._improve_actor(agent, batch, hyper)
+        # The critic's loss knows only the target actor, so that the new actor changes nothing.
+        agent, critic_info = self._improve_critic(agent, batch, hyper)
+        return self._follow(agent, hyper), {**critic_info, **actor_info}
+
+    def update_critic(
+        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
+    ) -> tuple[Agent, dict[str, jax.Array]]:
+        """One gradient step on the critic alone; targets follow.
+
+        Returns:
+            The agent, and scalars to log: critic_loss, value.
+        """
+        agent, info = self._improve_critic(agent, batch, hyper)
+        return self._follow(agent, hyper), info
+
+    def _improve_actor(
+        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
+    ) -> tuple[Agent, dict[str, jax.Array]]:
+        gradient, info = jax.grad(self.actor_loss, has_aux=True)(agent.actor, agent, batch, hyper)
+        actor, optimiser = self._descend(
+            agent.actor, gradient, agent.actor_optimiser, hyper.actor_learning_rate
         )
-        actor_gradient, actor_info = jax.grad(self.actor_loss, has_aux=True)(
-            agent.actor, agent, batch, hyper
+        return agent.replace(actor=actor, actor_optimiser=optimiser), info
+
+    def _improve_critic(
+        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
+    ) -> tuple[Agent, dict[str, jax.Array]]:
+        gradient, info = jax.grad(self.critic_loss, has_aux=True)(agent.critic, agent, batch, hyper)
+        critic, optimiser = self._descend(
+            agent.critic, gradient, agent.critic_optimiser, hyper.critic_learning_rate
         )
-        critic, critic_optimiser = self._descend(
-            agent.critic, critic_gradient, agent.critic_optimiser, hyper.critic_learning_rate
-        )
-        actor, actor_optimiser = self._descend(
-            agent.actor, actor_gradient, agent.actor_optimiser, hyper.actor_learning_rate
-        )
+        return agent.replace(critic=critic, critic_optimiser=optimiser), info
+
+    def _follow(self, agent: Agent, hyper: Hyperparameters) -> Agent:
+        """Count an update, and move the targets if it is time."""
         updates = agent.updates + 1
         rate = jnp.where(updates % self.target_update_every == 0, hyper.target_rate, 0.0)
-        return Agent(
-            actor=actor,
-            critic=critic,
-            target_actor=optax.incremental_update(actor, agent.target_actor, rate),
-            target_critic=optax.incremental_update(critic, agent.target_critic, rate),
-            actor_optimiser=actor_optimiser,
-            critic_optimiser=critic_optimiser,
+        return agent.replace(
+            target_actor=optax.incremental_update(agent.actor, agent.target_actor, rate),
+            target_critic=optax.incremental_update(agent.critic, agent.target_critic, rate),
             updates=updates,
-        ), {**critic_info, **actor_info}
+        )
 
     def _descend(
         self,

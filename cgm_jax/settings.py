@@ -52,7 +52,8 @@ class Settings:
     """Static settings, shared by all runs of one compiled program.
 
     Raises:
-        SettingError: a value out of its range.
+        SettingError: a value out of its range, or actor_update_every does not divide
+            updates_per_cycle.
     """
 
     env: str = _setting("push", "reach, push, pick_and_place, or FILE.py:FACTORY of your own")
@@ -64,6 +65,7 @@ class Settings:
     cycles_per_epoch: int = _setting(64, "cycles of rollouts and updates per epoch", 1, 10**9)
     environments: int = _setting(16, "parallel environments; an episode each per cycle", 1, 10**6)
     updates_per_cycle: int = _setting(40, "network updates per cycle", 1, 10**6)
+    actor_update_every: int = _setting(1, "updates of the critic for each of the actor", 1, 10**6)
     batch_size: int = _setting(1024, "transitions per update", 1, 10**7)
     target_update_every: int = _setting(40, "updates between moves of the targets", 1, 10**9)
     hidden_layers: tuple[int, ...] = _setting((256, 256, 256), "widths of hidden layers", 1, 10**5)
@@ -79,6 +81,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.updates_per_cycle % self.actor_update_every:
+            raise SettingError(
+                f"actor_update_every: {self.actor_update_every} does not divide "
+                f"updates_per_cycle, {self.updates_per_cycle}"
+            )
 
 
 def check(settings: Settings | Hyperparameters) -> None:

@@ -8,6 +8,7 @@ One run is a sweep of one: `jax.vmap` the same functions over states and hyperpa
 """
 
 import functools
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -238,17 +239,28 @@ class Trainer:
         )
         failure, agent = freeze_if_failed(state.failure, state.agent, agent)
         return state.replace(
-            agent=agent,
-            failure=failure,
-            statistics=_add_losses(state.statistics, losses, self.settings.updates_per_cycle),
+            agent=agent, failure=failure, statistics=_add_losses(state.statistics, losses)
         )
 
     def _update_agent(
         self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
     ) -> tuple[Agent, Metrics]:
-        return jax.lax.scan(
-            lambda agent, batch: self.ddpg.update(agent, batch, hyper), agent, batches
-        )
+        """All updates of a cycle, and the losses of those that update both networks."""
+        every = self.settings.actor_update_every
+
+        def round_of_updates(agent: Agent, batches: Minibatch) -> tuple[Agent, Metrics]:
+            critic_alone, both = (
+                jax.tree.map(operator.itemgetter(part), batches) for part in (slice(0, -1), -1)
+            )
+            agent, _ = jax.lax.scan(
+                lambda agent, batch: self.ddpg.update_critic(agent, batch, hyper),
+                agent,
+                critic_alone,
+            )
+            return self.ddpg.update(agent, both, hyper)
+
+        rounds = jax.tree.map(lambda rows: rows.reshape(-1, every, *rows.shape[1:]), batches)
+        return jax.lax.scan(round_of_updates, agent, rounds)
 
 
 def deterministic_actor(settings: Settings, agent: Agent) -> Parameters:
@@ -269,10 +281,8 @@ def _vmap_for_platform(function: Callable[..., Any]) -> Callable[..., Any]:
     return sequential_vmap(function) if jax.default_backend() == "cpu" else function
 
 
-def _add_losses(
-    statistics: EpochStatistics, losses: dict[str, jax.Array], updates: int
-) -> EpochStatistics:
+def _add_losses(statistics: EpochStatistics, losses: dict[str, jax.Array]) -> EpochStatistics:
     return statistics.replace(
         losses={name: total + losses[name].sum() for name, total in statistics.losses.items()},
-        updates=statistics.updates + updates,
+        updates=statistics.updates + losses["actor_loss"].size,
     )

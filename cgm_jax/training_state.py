@@ -41,8 +41,8 @@ class EpochStatistics(struct.PyTreeNode):
         mask_episodes: training episodes per mask, [2^n].
         mask_successes: those that achieved their masked goal, [2^n].
         physics_warnings: episodes dropped, scalar.
-        losses: sums over updates of the scalars that `DDPG.update` returns.
-        updates: updates in this epoch, scalar.
+        losses: sums of the scalars that `DDPG.update` returns.
+        updates: how many updates of both networks they are sums of, scalar.
     """
 
     mask_episodes: jax.Array

@@ -120,3 +120,22 @@ def test_adams_first_step_is_the_learning_rate() -> None:
             lambda a, b: jnp.abs(a - b).max(), getattr(updated, name), getattr(agent, name)
         )
         assert max(float(leaf) for leaf in jax.tree.leaves(change)) == pytest.approx(rate, rel=1e-3)
+
+
+def test_an_update_of_the_critic_alone_leaves_the_actor_and_counts() -> None:
+    ddpg, agent, batch = example()
+    agent = agent.replace(updates=jnp.asarray(1, jnp.int32))  # targets move with the next one
+    hyper = Hyperparameters(target_rate=0.25)
+    alone, info = ddpg.update_critic(agent, batch, hyper)
+    both, full_info = ddpg.update(agent, batch, hyper)
+    for name in ("critic", "critic_optimiser", "target_critic", "updates"):
+        jax.tree.map(np.testing.assert_array_equal, getattr(alone, name), getattr(both, name))
+    for name in ("actor", "actor_optimiser"):
+        jax.tree.map(np.testing.assert_array_equal, getattr(alone, name), getattr(agent, name))
+    np.testing.assert_allclose(
+        alone.target_actor["params"]["layer_0"]["kernel"],
+        0.25 * agent.actor["params"]["layer_0"]["kernel"]
+        + 0.75 * agent.target_actor["params"]["layer_0"]["kernel"],
+        rtol=1e-5,
+    )
+    assert info.keys() == full_info.keys() - {"actor_loss"}

@@ -91,6 +91,7 @@ def test_groups_split_evenly_and_lose_no_run(largest: int, sizes: list[int]) -> 
         ({"hidden_layers": [(64, 0)]}, "hidden_layers: 0 is not within"),
         ({"seed": [-1]}, "seed: -1 is not within"),
         ({"env": []}, "env: needs at least one value"),
+        ({"actor_update_every": [3]}, "actor_update_every: 3 does not divide updates_per_cycle, 4"),
     ],
 )
 def test_bad_values_are_refused_by_name(options: dict[str, list[Any]], message: str) -> None:

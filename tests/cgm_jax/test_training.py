@@ -211,6 +211,16 @@ def test_masks_are_judged_by_product_or_joint_rate() -> None:
     np.testing.assert_allclose(joint, [1.0, 0.5, 0.5, 0.5])
 
 
+def test_the_actor_is_updated_once_in_so_many_updates_of_the_critic() -> None:
+    settings = dataclasses.replace(TINY, updates_per_cycle=6, actor_update_every=3)
+    trainer = Trainer(TRAINER.env, settings)
+    state = trainer.initial_state(Hyperparameters())
+    state = jax.jit(trainer.train_cycles)(state, Hyperparameters(), 2)
+    assert int(state.agent.updates) == int(state.agent.critic_optimiser.count) == 12
+    assert int(state.agent.actor_optimiser.count) == 4
+    assert float(state.statistics.updates) == 4  # of both networks, whose losses are logged
+
+
 def test_the_evaluated_actor_is_the_one_that_the_settings_name() -> None:
     state, _ = epochs([Hyperparameters()], count=1)
     for evaluate_target, expected in (
