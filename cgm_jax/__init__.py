@@ -7,31 +7,25 @@ The method (Eppe, Magg, Wermter 2019), one file each:
     replay.py           the ring buffer of whole episodes that HER draws from
     ddpg.py             actor and critic updates; networks.py their shape
     normaliser.py       running mean and standard deviation of observations and goals
+    exploration.py      action noise
 
 The loop that puts them together, as pure functions over one state:
 
     training_state.py   everything that training carries from step to step
     rollout.py          episodes of many environments in one scan
     training.py         a cycle, an epoch, evaluation: what is jitted and vmapped over runs
+    programs.py         the compiled programs; divergence.py freezes a run that diverges
+    policy.py           trained policies as plain arrays
 
-Around it, on the host:
+What is asked for:
 
     settings.py         every setting, its default, and whether a sweep may vary it
     presets.py          smoke, quick, cpu, paper
     grid.py             from lists of values to runs, and from runs to groups that fit in memory
-    sweep.py            `python -m cgm_jax.sweep`; train.py: a sweep of one; evaluate.py
-    session.py          from groups of runs to an exit code; runner.py the loop over chunks
-    run_directory.py    config.json, metrics.jsonl, policies, figures, checkpoints
-    evaluation.py       success of exported policies; video.py films of their episodes
+    environments.py     the environment that a setting names
 
-What keeps a sweep from losing anything:
-
-    checkpoint.py       where a group of runs stands, as checked files; recorder.py writes them
-    interruption.py     Ctrl-C and SIGTERM; lock.py: one sweep per directory
-    divergence.py       a run that diverges is frozen, the others keep their bits
-    memory.py           what a sweep will take; watchdog.py: where it stands if it hangs
-    arrays.py, files.py files of arrays from strangers; files that are whole or not there
-    device_errors.py    errors from below JAX, in one line; exit_codes.py
+Programs: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.evaluate` and `.benchmark`. What
+they do around training is in host/, what they make of results in report/.
 
 Environments live in the package `envs`; this one knows them only through
 `envs.GoalEnvironment`. Importing the package registers the Fetch tasks with Gymnasium

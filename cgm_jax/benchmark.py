@@ -20,10 +20,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cgm_jax.command_line import parse, run_program
 from cgm_jax.grid import Group, Run, build_groups
+from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.startup import prepare_jax
 from cgm_jax.settings import SettingError
-from cgm_jax.startup import prepare_jax
 
 
 @dataclass(kw_only=True)

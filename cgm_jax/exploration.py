@@ -1,6 +1,9 @@
 """Action noise, drawn for whole rollouts at once.
 
 One draw of all steps compiles and runs faster than a draw per step inside the scan.
+
+Where random actions last for several steps, there are as many of them, but longer stretches
+without: long enough to carry something without letting it go.
 """
 
 import jax
@@ -25,13 +28,25 @@ class Exploration(struct.PyTreeNode):
 
 
 def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters) -> Exploration:
-    """Noise for actions of `shape` [..., action_size].
+    """Noise for the actions of whole episodes.
 
     Gaussian with standard deviation `hyper.action_noise`; with probability
-    `hyper.random_action_probability` a uniform action instead.
+    `hyper.random_action_probability` a uniform action instead, which then lasts for
+    `hyper.random_action_steps` steps. The first of an episode may be cut short, by as much as
+    chance has it, so that episodes do not keep step.
+
+    Args:
+        key: consumed.
+        shape: of the actions, [T, ..., action_size].
+        hyper: hyperparameters of the run.
     """
-    normal_key, uniform_key = jax.random.split(key)
-    uniform = jax.random.uniform(uniform_key, (*shape[:-1], shape[-1] + 1))
+    normal_key, uniform_key, phase_key = jax.random.split(key, 3)
+    steps, *episodes, action_size = shape
+    uniform = jax.random.uniform(uniform_key, (steps, *episodes, action_size + 1))
+    phase = jnp.floor(hyper.random_action_steps * jax.random.uniform(phase_key, tuple(episodes)))
+    step = jnp.arange(steps).reshape(-1, *(1 for _ in episodes))
+    stretch = (step + phase.astype(jnp.int32)) // hyper.random_action_steps
+    uniform = jnp.take_along_axis(uniform, stretch[..., None], axis=0)
     return Exploration(
         perturbation=hyper.action_noise * jax.random.normal(normal_key, shape),
         random_action=2.0 * uniform[..., 1:] - 1.0,

@@ -45,6 +45,7 @@ class Hyperparameters:
     action_penalty: float = _setting(1.0, "weight of mean squared action in the actor loss", 0)
     action_noise: float = _setting(0.2, "standard deviation of exploration noise", 0)
     random_action_probability: float = _setting(0.3, "chance of a uniform action", 0, 1)
+    random_action_steps: int = _setting(1, "steps that a uniform action lasts", 1, 10**6)
 
 
 @dataclass(frozen=True)

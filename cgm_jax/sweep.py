@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cgm_jax.command_line import (
+from cgm_jax.grid import build_groups
+from cgm_jax.host.command_line import (
     TrainingOptions,
     chosen_values,
     parse,
     run_program,
     seed_values,
 )
-from cgm_jax.grid import build_groups
-from cgm_jax.session import train_groups
+from cgm_jax.host.session import train_groups
 
 
 @dataclass(kw_only=True)

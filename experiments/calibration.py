@@ -20,11 +20,11 @@ from matplotlib.figure import Figure
 
 from cgm_jax.environments import make_environment
 from cgm_jax.exploration import Exploration, draw_exploration, explore
-from cgm_jax.figures import mask_label
+from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.masking import goal_masks, mask_success_rates
 from cgm_jax.policy import act, load_policy
+from cgm_jax.report.figures import mask_label
 from cgm_jax.rollout import roll_out
-from cgm_jax.run_directory import RunDirectory
 from cgm_jax.settings import Hyperparameters
 from envs import GoalEnvironment
 from experiments.tables import write_table

@@ -5,41 +5,59 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from cgm_jax.figures import curves_of, draw_quartiles, label_steps, label_success, make_panels
-from experiments.tables import runs_by_setting
-
-COLOURS = {False: "tab:orange", True: "tab:blue"}
-"""By whether HER is on."""
+from cgm_jax.report.figures import (
+    curves_of,
+    draw_quartiles,
+    label_steps,
+    label_success,
+    make_panels,
+)
+from experiments.tables import Setting, runs_by_setting
 
 
 def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Median and quartiles over seeds; a line per algorithm, dashed without CGM."""
+    """Median and quartiles over seeds; a line per algorithm, dashed without CGM.
+
+    DDPG in warm colours, DDPG + HER in cold ones; dotted lines are the other ways to draw masks.
+    """
     settings = runs_by_setting(rows)
     tasks = sorted({setting[0] for setting in settings})
     figure, axes = make_panels(len(tasks), width=6.0, height=4.2)
     for panel, task in zip(axes, tasks, strict=True):
-        for (env, her, cgm, c_g, kappa), seeds in settings.items():
-            if env != task:
+        for setting, seeds in settings.items():
+            if setting.env != task:
                 continue
-            label = "DDPG + HER" if her else "DDPG"
-            label += f" + CGM ($c_g$ = {100 * c_g:g} %, $\\kappa$ = {kappa:g})" if cgm else ""
             steps, values = curves_of(
                 [row for run in seeds.values() for row in run], "success_rate"
             )
-            draw_quartiles(
-                panel,
-                steps,
-                values,
-                f"{label}, {_count(len(seeds))}",
-                COLOURS[her],
-                "-" if cgm else "--",
-            )
+            colour, style = _look(setting)
+            label = f"{_label(setting)}, {_count(len(seeds))}"
+            draw_quartiles(panel, steps, values, label, colour, style)
         panel.set_title(task.replace("_", "-"))
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
         label_steps(panel)
         label_success(panel, "success rate, full goal")
         panel.legend(fontsize=8, loc="upper left", framealpha=0.7)
     return figure
+
+
+def _look(setting: Setting) -> tuple[str, str]:
+    """Colour and style of a line."""
+    if setting.kappa == 0:
+        return ("tab:cyan" if setting.her else "gold"), ":"
+    if not setting.factorised:
+        return ("tab:purple" if setting.her else "tab:red"), ":"
+    return ("tab:blue" if setting.her else "tab:orange"), "-" if setting.cgm else "--"
+
+
+def _label(setting: Setting) -> str:
+    label = "DDPG + HER" if setting.her else "DDPG"
+    if setting.kappa == 0:
+        return f"{label} + uniform masks"
+    if not setting.cgm:
+        return label
+    label += " + CGM" + ("" if setting.factorised else ", joint rates")
+    return f"{label} ($c_g$ = {100 * (setting.c_g or 0.0):g} %, $\\kappa$ = {setting.kappa:g})"
 
 
 def _count(seeds: int) -> str:

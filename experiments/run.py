@@ -17,10 +17,10 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from cgm_jax.figures import epochs_to_half, learning_curves, mask_success
-from cgm_jax.run_directory import CONFIG, RunDirectory
+from cgm_jax.host.run_directory import CONFIG, RunDirectory
+from cgm_jax.report.figures import epochs_to_half, learning_curves, mask_success
+from cgm_jax.report.statistics import holds
 from cgm_jax.settings import Settings
-from cgm_jax.statistics import holds
 from experiments.comparison import comparison
 from experiments.tables import improvement, learning_speed, write_table
 
@@ -29,7 +29,7 @@ PLANS = HERE / "plans.toml"
 RUNS = Path("runs") / "experiments"
 RESULTS = HERE / "results"
 COLUMNS = (
-    *("sweep", "run", "env", "seed", "c_g", "kappa", "her", "cgm", "epoch"),
+    *("sweep", "run", "env", "seed", "c_g", "kappa", "her", "cgm", "factorised", "epoch"),
     *("env_steps", "updates", "wall_s", "success_rate", "physics_warnings"),
 )
 FIGURES = {
@@ -49,18 +49,18 @@ def train(sweep: str, options: str) -> None:
 
 
 def trained_rows(sweep: str) -> list[dict[str, Any]]:
-    """Metrics of a sweep's runs that are done, marked with its name."""
+    """Metrics of a sweep's runs that are done, with what a comparison needs besides."""
     if not (RUNS / sweep / CONFIG).is_file():
         return []
     directory = RunDirectory.open(RUNS / sweep)
     rows = directory.metrics()
     done = {
-        run.name
+        run.name: {"sweep": sweep, "factorised": run.hyper.factorised}
         for group in directory.groups()
         for run in group.runs
         if is_done([row for row in rows if row["run"] == run.name], group.settings)
     }
-    return [{"sweep": sweep, **row} for row in rows if row["run"] in done]
+    return [{**done[row["run"]], **row} for row in rows if row["run"] in done]
 
 
 def is_done(rows: list[dict[str, Any]], settings: Settings) -> bool:

@@ -5,16 +5,48 @@ import itertools
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from cgm_jax.statistics import HOLDING_EVALUATIONS, first_to_reach
+from cgm_jax.report.statistics import HOLDING_EVALUATIONS, first_to_reach
 
 Row = dict[str, Any]
 LEVELS = (0.5, 0.9)
-SETTING = ("env", "her", "cgm", "c_g", "kappa")
+QUARTILES = (25, 50, 75)
+
+
+class Setting(NamedTuple):
+    """What the seeds of a line, or of a row of a table, have in common.
+
+    Without CGM, c_g and kappa are None; so is c_g where masks are drawn uniformly (kappa = 0).
+    """
+
+    env: str
+    her: bool
+    cgm: bool
+    c_g: float | None
+    kappa: float | None
+    factorised: bool
+
+    @property
+    def curriculum(self) -> str:
+        """Where masks come from, in words."""
+        if not self.cgm:
+            return "no CGM"
+        if self.kappa == 0:
+            return "uniform masks"
+        name = "CGM" if self.factorised else "CGM, joint rates"
+        return f"{name} ({100 * (self.c_g or 0.0):g} %, {self.kappa:g})"
+
+
+def setting_of(row: Row) -> Setting:
+    """The setting of a metrics row."""
+    c_g = row["c_g"] if row["cgm"] and row["kappa"] else None
+    kappa = row["kappa"] if row["cgm"] else None
+    factorised = row.get("factorised", True) or c_g is None
+    return Setting(row["env"], row["her"], row["cgm"], c_g, kappa, factorised)
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
@@ -25,39 +57,48 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
         writer.writerows(rows)
 
 
-def runs_by_setting(rows: Sequence[Row]) -> dict[tuple[Any, ...], dict[int, list[Row]]]:
-    """Rows in order of epochs, by setting and seed. Without CGM c_g and kappa are None."""
-    settings: dict[tuple[Any, ...], dict[int, list[Row]]] = defaultdict(lambda: defaultdict(list))
+def runs_by_setting(rows: Sequence[Row]) -> dict[Setting, dict[int, list[Row]]]:
+    """Rows in order of epochs, by setting and seed."""
+    settings: dict[Setting, dict[int, list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
-        curriculum = (row["c_g"], row["kappa"]) if row["cgm"] else (None, None)
-        setting = (row["env"], row["her"], row["cgm"], *curriculum)
-        settings[setting][row["seed"]].append(row)
+        settings[setting_of(row)][row["seed"]].append(row)
     return {setting: dict(seeds) for setting, seeds in settings.items()}
 
 
 def learning_speed(rows: Sequence[Row]) -> list[Row]:
     """Per setting: how soon its seeds reach 50 and 90 % success, and where they end.
 
-    A level is reached at the first evaluation that shows it. Medians over seeds; empty where
-    half of the seeds or more never reach it.
+    A level is reached at the first evaluation that shows it. Medians (of env_steps also the
+    quartiles) over seeds; empty where that quartile of the seeds never reaches it.
     """
     table = []
     for setting, seeds in runs_by_setting(rows).items():
         runs = list(seeds.values())
-        entry: Row = {**dict(zip(SETTING, setting, strict=True)), "seeds": len(runs)}
+        entry: Row = {**setting._asdict(), "seeds": len(runs)}
         for level in LEVELS:
             reached = [first_to_reach(run, level) for run in runs]
             name = f"{100 * level:.0f}"
             entry[f"reach_{name}"] = sum(row is not None for row in reached)
             for measure in ("env_steps", "wall_s"):
                 values = [row[measure] if row else np.inf for row in reached]
-                median = float(np.median(values))
-                entry[f"{measure}_to_{name}"] = round(median) if np.isfinite(median) else ""
+                low, median, high = (_or_empty(q) for q in _quartiles(values))
+                entry[f"{measure}_to_{name}"] = median
+                if measure == "env_steps":
+                    entry |= {f"{measure}_to_{name}_low": low, f"{measure}_to_{name}_high": high}
         ends = [final_success(run) for run in runs]
         entry |= {"final_success": round(float(np.median(ends)), 3), "worst_seed": min(ends)}
         entry["env_steps"] = max(run[-1]["env_steps"] for run in runs)
         table.append(entry)
     return table
+
+
+def _quartiles(values: Sequence[float]) -> np.ndarray:
+    """One between a run that reached a level and one that did not is not reached."""
+    return np.percentile(values, QUARTILES, method="higher")
+
+
+def _or_empty(value: float) -> int | str:
+    return round(value) if np.isfinite(value) else ""
 
 
 def final_success(run: Sequence[Row]) -> float:
@@ -87,14 +128,15 @@ def probability_of_improvement(x: np.ndarray, y: np.ndarray, axis: int = -1) -> 
 
 
 def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
-    """P(with CGM beats without) per task and algorithm, with a 95 % bootstrap interval.
+    """P(CGM beats a baseline) per task and algorithm, with a 95 % bootstrap interval.
 
-    Runs are compared by the area under their learning curve, as far as all of them got.
+    Baselines: no masks, masks drawn uniformly, and masks judged by joint rates. Runs are compared
+    by the area under their learning curve, as far as all of them got.
     """
     settings = runs_by_setting(rows)
     table = []
     for one, other in itertools.product(settings, repeat=2):
-        if one[:2] != other[:2] or not one[2] or other[2]:
+        if one[:2] != other[:2] or _is_baseline(one) or not _is_baseline(other):
             continue
         pair = [list(settings[key].values()) for key in (one, other)]
         if min(map(len, pair)) < 2:
@@ -112,12 +154,20 @@ def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
         ).confidence_interval
         table.append(
             {
-                **dict(zip(SETTING, one, strict=True)),
-                "seeds_with": len(samples[0]),
-                "seeds_without": len(samples[1]),
+                "env": one.env,
+                "her": one.her,
+                "setting": one.curriculum,
+                "baseline": other.curriculum,
+                "env_steps": common,
+                "seeds": len(samples[0]),
+                "baseline_seeds": len(samples[1]),
                 "probability_of_improvement": round(probability, 3),
                 "low": round(float(interval.low), 3),
                 "high": round(float(interval.high), 3),
             }
         )
     return table
+
+
+def _is_baseline(setting: Setting) -> bool:
+    return not setting.cgm or setting.kappa == 0 or not setting.factorised

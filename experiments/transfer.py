@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from cgm_jax.command_line import parse, run_program
+from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.settings import SettingError
 
 EXPERIMENTS = Path(__file__).resolve().parent
@@ -88,7 +88,7 @@ def compare(options: TransferOptions) -> list[dict[str, Any]]:
     Raises:
         SettingError: a directory holds no sweep, or no policy of push or pick_and_place.
     """
-    from cgm_jax.run_directory import RunDirectory
+    from cgm_jax.host.run_directory import RunDirectory
 
     rows = []
     for directory in [RunDirectory.open(path) for path in options.directories]:

@@ -15,11 +15,11 @@ from PIL import Image
 
 from cgm_jax.environments import make_environment
 from cgm_jax.evaluate import _report, main
-from cgm_jax.evaluation import Film, Outcome, Plan, evaluate_directory, evaluate_random
 from cgm_jax.grid import Group, Run
-from cgm_jax.run_directory import RunDirectory
+from cgm_jax.host.run_directory import RunDirectory
+from cgm_jax.report.evaluation import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.report.video import write_video
 from cgm_jax.settings import Hyperparameters, SettingError, Settings
-from cgm_jax.video import write_video
 from envs.fetch import FetchEnvironment
 from tests.envs.surface import can_render
 

@@ -90,6 +90,7 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
         "action_penalty": 0.0,
         "action_noise": 0.0,
         "random_action_probability": 0.9,
+        "random_action_steps": 7,
         "seed": 1,
     }
     later = {"her_filter", "factorised"}  # no effect within this short run: tested below

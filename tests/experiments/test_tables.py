@@ -8,7 +8,10 @@ from experiments.tables import (
     improvement,
     learning_speed,
     probability_of_improvement,
+    setting_of,
 )
+
+BASELINES: list[dict[str, Any]] = [{"cgm": False}, {"kappa": 0.0}, {"factorised": False}]
 
 
 def run(seed: int, rates: list[float | None], *, cgm: bool = True) -> list[dict[str, Any]]:
@@ -25,6 +28,7 @@ def test_learning_speed_is_the_median_of_first_arrivals() -> None:
     (entry,) = learning_speed(rows)
     assert entry["seeds"] == 3
     assert (entry["reach_50"], entry["env_steps_to_50"], entry["wall_s_to_50"]) == (3, 2000, 4)
+    assert (entry["env_steps_to_50_low"], entry["env_steps_to_50_high"]) == (2000, 3000)
     assert (entry["reach_90"], entry["env_steps_to_90"]) == (1, "")  # two of three never do
     assert entry["final_success"] == pytest.approx(1.6 / 3, abs=1e-3)
     assert entry["worst_seed"] == pytest.approx(0.2)
@@ -53,7 +57,24 @@ def test_improvement_compares_as_far_as_all_runs_got() -> None:
     (entry,) = improvement(with_cgm + without, resamples=200)
     assert entry["probability_of_improvement"] == 1.0  # after 1,000 env_steps
     assert (entry["low"], entry["high"]) == (1.0, 1.0)
-    assert (entry["seeds_with"], entry["seeds_without"]) == (2, 2)
+    assert (entry["setting"], entry["baseline"]) == ("CGM (10 %, 32)", "no CGM")
+    assert (entry["env_steps"], entry["seeds"], entry["baseline_seeds"]) == (1000, 2, 2)
+
+
+def test_baselines_are_compared_with_and_not_among_themselves() -> None:
+    rows = run(0, [0.5]) + run(1, [0.5])
+    others = [{**row, **change} for row in rows for change in BASELINES]
+    table = improvement(rows + others, resamples=200)
+    assert [entry["baseline"] for entry in table] == [
+        *("no CGM", "uniform masks", "CGM, joint rates (10 %, 32)")
+    ]
+    assert all(entry["probability_of_improvement"] == 0.5 for entry in table)
+
+
+def test_uniform_masks_are_one_setting_whatever_c_g_they_carry() -> None:
+    row = run(0, [0.5])[0]
+    one, other = ({**row, "kappa": 0.0, "c_g": c_g} for c_g in (0.1, 0.8))
+    assert setting_of(one) == setting_of(other) != setting_of(row)
 
 
 def test_one_seed_proves_nothing() -> None:

@@ -2,7 +2,7 @@ import time
 
 import pytest
 
-from cgm_jax.watchdog import watchdog
+from cgm_jax.host.watchdog import watchdog
 
 
 def hang() -> None:

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgm_jax.figures import epochs_to_half, learning_curves, mask_label, mask_success
+from cgm_jax.report.figures import epochs_to_half, learning_curves, mask_label, mask_success
 
 
 def rows() -> list[dict[str, Any]]:

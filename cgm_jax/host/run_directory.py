@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from cgm_jax.arrays import write_arrays
-from cgm_jax.files import replacing
 from cgm_jax.grid import Group, Run
-from cgm_jax.lock import locked
+from cgm_jax.host.arrays import write_arrays
+from cgm_jax.host.files import replacing
+from cgm_jax.host.lock import locked
 from cgm_jax.settings import Hyperparameters, SettingError, Settings, check
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
@@ -210,7 +210,7 @@ def _group(entry: Any) -> Group:
 
 def _commit() -> str | None:
     """The commit of this checkout, marked if it has changes; None in an installed wheel."""
-    checkout = Path(__file__).parents[1]
+    checkout = Path(__file__).parents[2]
     if not (checkout / ".git").exists():
         return None
     git = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]

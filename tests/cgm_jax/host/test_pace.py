@@ -1,4 +1,4 @@
-from cgm_jax.pace import Pace
+from cgm_jax.host.pace import Pace
 
 
 def test_chunks_start_with_one_cycle_and_then_fill_two_seconds() -> None:

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from cgm_jax import sweep, train
-from cgm_jax.command_line import run_program
 from cgm_jax.grid import Group, build_groups
+from cgm_jax.host.command_line import run_program
+from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.presets import PRESETS
-from cgm_jax.run_directory import RunDirectory
 from cgm_jax.settings import FIELDS, SettingError
 from tests.cgm_jax.sweeps import ROOT
 
@@ -224,7 +224,7 @@ def test_bad_input_is_refused_without_importing_jax(arguments: list[str]) -> Non
     program = (
         "import sys\n"
         "from cgm_jax import sweep\n"
-        "from cgm_jax.command_line import run_program\n"
+        "from cgm_jax.host.command_line import run_program\n"
         "try: run_program(lambda: sweep.main(sys.argv[1:]))\n"
         "finally: assert not {'jax', 'mujoco'} & set(sys.modules)"
     )

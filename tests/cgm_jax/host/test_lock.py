@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cgm_jax.lock import locked
+from cgm_jax.host.lock import locked
 from cgm_jax.settings import SettingError
 
 
@@ -25,7 +25,7 @@ def test_a_second_holder_is_refused_and_told_of_the_first(tmp_path: Path) -> Non
 def test_the_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
     path = tmp_path / "lock"
     program = (
-        "import sys, time; from pathlib import Path; from cgm_jax.lock import locked\n"
+        "import sys, time; from pathlib import Path; from cgm_jax.host.lock import locked\n"
         "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
     )
     command = [sys.executable, "-c", program, str(path)]

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from cgm_jax.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.programs import make_programs
 from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Trainer

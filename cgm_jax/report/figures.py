@@ -19,9 +19,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from cgm_jax.files import replacing
-from cgm_jax.run_directory import RunDirectory
-from cgm_jax.statistics import first_to_reach
+from cgm_jax.host.files import replacing
+from cgm_jax.host.run_directory import RunDirectory
+from cgm_jax.report.statistics import first_to_reach
 
 Rows = list[dict[str, Any]]
 QUARTILES = (25, 50, 75)

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
-from cgm_jax.exit_codes import ExitCode
+from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.presets import PRESETS, Grid
 from cgm_jax.settings import Hyperparameters, SettingError, Settings
 

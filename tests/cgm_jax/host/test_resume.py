@@ -42,7 +42,7 @@ MJX = """
 import dataclasses, pathlib, sys
 import jax, numpy as np
 import envs
-from cgm_jax.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.programs import make_programs
 from cgm_jax.settings import Hyperparameters
 from cgm_jax.training import Trainer

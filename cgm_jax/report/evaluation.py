@@ -12,11 +12,11 @@ from flax import struct
 from cgm_jax.environments import make_environment
 from cgm_jax.exploration import Exploration, draw_exploration
 from cgm_jax.grid import Group
+from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.masking import masked_distance
 from cgm_jax.policy import act, load_policy
 from cgm_jax.replay import Episodes
 from cgm_jax.rollout import Policy, Rollout, roll_out
-from cgm_jax.run_directory import RunDirectory
 from cgm_jax.settings import Hyperparameters, SettingError, Settings
 from envs import GoalEnvironment
 from envs.fetch import FetchEnvironment

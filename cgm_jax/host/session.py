@@ -7,17 +7,17 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cgm_jax.command_line import TrainingOptions
-from cgm_jax.device_errors import DeviceError
-from cgm_jax.exit_codes import ExitCode
 from cgm_jax.grid import Group
-from cgm_jax.interruption import Interruption
-from cgm_jax.run_directory import RunDirectory
+from cgm_jax.host.command_line import TrainingOptions
+from cgm_jax.host.device_errors import DeviceError
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.run_directory import RunDirectory
+from cgm_jax.host.startup import prepare_jax
 from cgm_jax.settings import SettingError
-from cgm_jax.startup import prepare_jax
 
 if TYPE_CHECKING:  # runner imports JAX
-    from cgm_jax.runner import Job
+    from cgm_jax.host.runner import Job
 
 
 def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] | None) -> int:
@@ -40,7 +40,7 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
         prepare_jax()
         import jax
 
-        from cgm_jax.runner import plan_jobs
+        from cgm_jax.host.runner import plan_jobs
 
         jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
         try:
@@ -103,9 +103,9 @@ def _train(
     interruption: Interruption,
     checkpoint_seconds: float,
 ) -> int:
-    from cgm_jax.figures import draw_figures
-    from cgm_jax.progress import SweepProgress, physics_lines, summary_lines
-    from cgm_jax.runner import run_jobs
+    from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
+    from cgm_jax.host.runner import run_jobs
+    from cgm_jax.report.figures import draw_figures
 
     started = time.monotonic()
     cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)

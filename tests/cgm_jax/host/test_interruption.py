@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import hashlib, time
-from cgm_jax.interruption import Interruption
+from cgm_jax.host.interruption import Interruption
 with Interruption(patience={patience}) as interruption:
     interruption.expendable = {expendable}
     print("ready", flush=True)

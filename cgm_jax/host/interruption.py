@@ -18,7 +18,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import NoReturn, Self
 
-from cgm_jax.exit_codes import ExitCode
+from cgm_jax.host.exit_codes import ExitCode
 
 PATIENCE_SECONDS = 8.0
 """From a signal to the end of the process, at most."""

@@ -1,6 +1,6 @@
 import pytest
 
-from cgm_jax.statistics import first_to_reach, wilson_interval
+from cgm_jax.report.statistics import first_to_reach, wilson_interval
 
 
 def test_wilson_interval_by_hand() -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import jax
 import pytest
 
-from cgm_jax import memory, runner
 from cgm_jax.grid import build_groups
-from cgm_jax.memory import (
+from cgm_jax.host import memory, runner
+from cgm_jax.host.memory import (
     MemoryEstimate,
     estimate_memory,
     format_bytes,

@@ -10,7 +10,7 @@ import imageio_ffmpeg
 import numpy as np
 from PIL import Image
 
-from cgm_jax.evaluation import Film, goal_mask
+from cgm_jax.report.evaluation import Film, goal_mask
 from envs.fetch import FetchEnvironment
 from envs.rendering import FRAMES_PER_SECOND, Renderer
 

@@ -11,21 +11,21 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.checkpoint import Standing, load_checkpoint
-from cgm_jax.device_errors import device_errors
 from cgm_jax.environments import make_environment
 from cgm_jax.grid import Group, split
-from cgm_jax.interruption import Interruption
-from cgm_jax.memory import estimate_memory, format_bytes, runs_that_fit
-from cgm_jax.pace import Pace
+from cgm_jax.host.checkpoint import Standing, load_checkpoint
+from cgm_jax.host.device_errors import device_errors
+from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.memory import estimate_memory, format_bytes, runs_that_fit
+from cgm_jax.host.pace import Pace
+from cgm_jax.host.progress import SweepProgress
+from cgm_jax.host.recorder import Recorder
+from cgm_jax.host.run_directory import RunDirectory
+from cgm_jax.host.watchdog import watchdog
 from cgm_jax.programs import Programs, make_programs, stack_runs
-from cgm_jax.progress import SweepProgress
-from cgm_jax.recorder import Recorder
-from cgm_jax.run_directory import RunDirectory
+from cgm_jax.report.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.settings import Hyperparameters, SettingError
-from cgm_jax.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.training import Metrics, Trainer
-from cgm_jax.watchdog import watchdog
 
 
 @dataclass(frozen=True)
