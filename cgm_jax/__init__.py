@@ -15,7 +15,8 @@ The loop that puts them together, as pure functions over one state:
     rollout.py          episodes of many environments in one scan
     training.py         a cycle, an epoch, evaluation: what is jitted and vmapped over runs
     programs.py         the compiled programs; divergence.py freezes a run that diverges
-    policy.py           trained policies as plain arrays
+    policy.py           trained policies as plain arrays; arrays.py reads files from strangers
+    statistics.py       when a run reaches or holds a success
 
 What is asked for:
 

@@ -1,7 +1,6 @@
 """Goal-conditioned deep deterministic policy gradient (Lillicrap et al. 2016).
 
-The actor may be updated less often than the critic (Fujimoto et al. 2018): half the updates of the
-actor cost a quarter of the time, and little of the learning.
+The actor may be updated less often than the critic (Fujimoto et al. 2018).
 """
 
 from dataclasses import dataclass
@@ -60,12 +59,14 @@ class DDPG:
         action_size: number of action dimensions.
         hidden_layers: widths of both networks.
         target_update_every: updates between moves of the target networks.
+        actor_update_every: updates of the critic for each of the actor.
     """
 
     input_size: int
     action_size: int
     hidden_layers: tuple[int, ...]
     target_update_every: int
+    actor_update_every: int = 1
 
     @property
     def _actor(self) -> Actor:
@@ -129,6 +130,32 @@ class DDPG:
         loss += hyper.action_penalty * jnp.mean(jnp.square(action))
         return loss, {"actor_loss": loss}
 
+    def train(
+        self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
+    ) -> tuple[Agent, dict[str, jax.Array]]:
+        """One update per minibatch, every `actor_update_every`-th of them of both networks.
+
+        Args:
+            agent: before.
+            batches: [updates, batch, ...]; `actor_update_every` divides the first axis.
+            hyper: of the run.
+
+        Returns:
+            The agent, and what `update` returned for each update of both networks.
+        """
+        every = self.actor_update_every
+
+        def train_round(agent: Agent, batches: Minibatch) -> tuple[Agent, dict[str, jax.Array]]:
+            if every > 1:
+                for_critic = jax.tree.map(lambda rows: rows[:-1], batches)
+                agent, _ = jax.lax.scan(
+                    lambda agent, batch: self.update_critic(agent, batch, hyper), agent, for_critic
+                )
+            return self.update(agent, jax.tree.map(lambda rows: rows[-1], batches), hyper)
+
+        rounds = jax.tree.map(lambda rows: rows.reshape(-1, every, *rows.shape[1:]), batches)
+        return jax.lax.scan(train_round, agent, rounds)
+
     def update(
         self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
     ) -> tuple[Agent, dict[str, jax.Array]]:
@@ -137,8 +164,8 @@ class DDPG:
         Returns:
             The agent, and scalars to log: critic_loss, actor_loss, value.
         """
+        # The actor first: its loss needs the critic, whose own loss needs only the target actor.
         agent, actor_info = self._improve_actor(agent, batch, hyper)
-        # The critic's loss knows only the target actor, so that the new actor changes nothing.
         agent, critic_info = self._improve_critic(agent, batch, hyper)
         return self._follow(agent, hyper), {**critic_info, **actor_info}
 

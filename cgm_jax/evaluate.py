@@ -12,8 +12,8 @@ import tyro
 
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.startup import prepare_jax
-from cgm_jax.report.statistics import wilson_interval
 from cgm_jax.settings import SettingError, Settings
+from cgm_jax.statistics import wilson_interval
 
 if TYPE_CHECKING:
     from cgm_jax.report.evaluation import Outcome

@@ -30,10 +30,10 @@ class Exploration(struct.PyTreeNode):
 def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters) -> Exploration:
     """Noise for the actions of whole episodes.
 
-    Gaussian with standard deviation `hyper.action_noise`; with probability
-    `hyper.random_action_probability` a uniform action instead, which then lasts for
-    `hyper.random_action_steps` steps. The first of an episode may be cut short, by as much as
-    chance has it, so that episodes do not keep step.
+    Gaussian with standard deviation `hyper.action_noise`. Besides, an episode is cut into
+    stretches of `hyper.random_action_steps` steps, from a random phase on, so that episodes do not
+    keep step; with probability `hyper.random_action_probability` one uniform action replaces all
+    of a stretch.
 
     Args:
         key: consumed.

@@ -124,7 +124,10 @@ def _effective(hyper: Hyperparameters) -> Hyperparameters:
 
 def _idle(hyper: Hyperparameters) -> list[str]:
     """Settings without effect on this run."""
-    return ([] if hyper.cgm else CGM_ONLY) + ([] if hyper.her else HER_ONLY)
+    idle = [] if hyper.her else HER_ONLY
+    if not hyper.cgm:
+        return idle + CGM_ONLY
+    return idle if hyper.kappa else [*idle, "c_g", "factorised"]  # masks drawn uniformly
 
 
 def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
+from cgm_jax.arrays import read_arrays
 from cgm_jax.ddpg import Parameters
-from cgm_jax.host.arrays import read_arrays
 from cgm_jax.networks import Actor
 from cgm_jax.normaliser import (
     GREATEST_NORMALISED_VALUE,

@@ -65,7 +65,7 @@ class Settings:
     epochs: int = _setting(100, "epochs, each ending with an evaluation", 1, 10**9)
     cycles_per_epoch: int = _setting(64, "cycles of rollouts and updates per epoch", 1, 10**9)
     environments: int = _setting(16, "parallel environments; an episode each per cycle", 1, 10**6)
-    updates_per_cycle: int = _setting(40, "network updates per cycle", 1, 10**6)
+    updates_per_cycle: int = _setting(40, "updates of the critic per cycle", 1, 10**6)
     actor_update_every: int = _setting(1, "updates of the critic for each of the actor", 1, 10**6)
     batch_size: int = _setting(1024, "transitions per update", 1, 10**7)
     target_update_every: int = _setting(40, "updates between moves of the targets", 1, 10**9)

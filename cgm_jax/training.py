@@ -8,7 +8,6 @@ One run is a sweep of one: `jax.vmap` the same functions over states and hyperpa
 """
 
 import functools
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -78,6 +77,7 @@ class Trainer:
             action_size=self.env.action_size,
             hidden_layers=self.settings.hidden_layers,
             target_update_every=self.settings.target_update_every,
+            actor_update_every=self.settings.actor_update_every,
         )
 
     def initial_state(self, hyper: Hyperparameters) -> TrainingState:
@@ -245,22 +245,7 @@ class Trainer:
     def _update_agent(
         self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
     ) -> tuple[Agent, Metrics]:
-        """All updates of a cycle, and the losses of those that update both networks."""
-        every = self.settings.actor_update_every
-
-        def round_of_updates(agent: Agent, batches: Minibatch) -> tuple[Agent, Metrics]:
-            critic_alone, both = (
-                jax.tree.map(operator.itemgetter(part), batches) for part in (slice(0, -1), -1)
-            )
-            agent, _ = jax.lax.scan(
-                lambda agent, batch: self.ddpg.update_critic(agent, batch, hyper),
-                agent,
-                critic_alone,
-            )
-            return self.ddpg.update(agent, both, hyper)
-
-        rounds = jax.tree.map(lambda rows: rows.reshape(-1, every, *rows.shape[1:]), batches)
-        return jax.lax.scan(round_of_updates, agent, rounds)
+        return self.ddpg.train(agent, batches, hyper)
 
 
 def deterministic_actor(settings: Settings, agent: Agent) -> Parameters:

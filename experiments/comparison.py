@@ -19,9 +19,10 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
     """Median and quartiles over seeds; a line per algorithm, dashed without CGM.
 
     DDPG in warm colours, DDPG + HER in cold ones; dotted lines are the other ways to draw masks.
+    The numbers behind CGM are c_g and kappa.
     """
     settings = runs_by_setting(rows)
-    tasks = sorted({setting[0] for setting in settings})
+    tasks = sorted({setting.env for setting in settings})
     figure, axes = make_panels(len(tasks), width=6.0, height=4.2)
     for panel, task in zip(axes, tasks, strict=True):
         for setting, seeds in settings.items():
@@ -31,7 +32,8 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
                 [row for run in seeds.values() for row in run], "success_rate"
             )
             colour, style = _look(setting)
-            label = f"{_label(setting)}, {_count(len(seeds))}"
+            name = f"{'DDPG + HER' if setting.her else 'DDPG'}, {setting.curriculum}"
+            label = f"{name}, {_count(len(seeds))}"
             draw_quartiles(panel, steps, values, label, colour, style)
         panel.set_title(task.replace("_", "-"))
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
@@ -48,16 +50,6 @@ def _look(setting: Setting) -> tuple[str, str]:
     if not setting.factorised:
         return ("tab:purple" if setting.her else "tab:red"), ":"
     return ("tab:blue" if setting.her else "tab:orange"), "-" if setting.cgm else "--"
-
-
-def _label(setting: Setting) -> str:
-    label = "DDPG + HER" if setting.her else "DDPG"
-    if setting.kappa == 0:
-        return f"{label} + uniform masks"
-    if not setting.cgm:
-        return label
-    label += " + CGM" + ("" if setting.factorised else ", joint rates")
-    return f"{label} ($c_g$ = {100 * (setting.c_g or 0.0):g} %, $\\kappa$ = {setting.kappa:g})"
 
 
 def _count(seeds: int) -> str:

@@ -17,10 +17,13 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
+from cgm_jax.grid import Group, Run, build_groups
+from cgm_jax.host.command_line import chosen_values, parse, seed_values
 from cgm_jax.host.run_directory import CONFIG, RunDirectory
 from cgm_jax.report.figures import epochs_to_half, learning_curves, mask_success
-from cgm_jax.report.statistics import holds
 from cgm_jax.settings import Settings
+from cgm_jax.statistics import holds
+from cgm_jax.sweep import SweepOptions
 from experiments.comparison import comparison
 from experiments.tables import improvement, learning_speed, write_table
 
@@ -48,19 +51,37 @@ def train(sweep: str, options: str) -> None:
         sys.exit(code)
 
 
-def trained_rows(sweep: str) -> list[dict[str, Any]]:
+def trained_rows(sweep: str, options: str) -> list[dict[str, Any]]:
     """Metrics of a sweep's runs that are done, with what a comparison needs besides."""
     if not (RUNS / sweep / CONFIG).is_file():
         return []
     directory = RunDirectory.open(RUNS / sweep)
+    if _runs_of(directory.groups()) != _runs_of(planned_groups(options)):
+        sys.exit(f"{sweep}: {directory.path} holds other runs than are planned now; delete it")
     rows = directory.metrics()
     done = {
-        run.name: {"sweep": sweep, "factorised": run.hyper.factorised}
+        run.name: {
+            "sweep": sweep,
+            "factorised": run.hyper.factorised,
+            "alone": len(group.runs) == 1,
+            "leave_at": group.settings.leave_at,
+        }
         for group in directory.groups()
         for run in group.runs
         if is_done([row for row in rows if row["run"] == run.name], group.settings)
     }
     return [{**done[row["run"]], **row} for row in rows if row["run"] in done]
+
+
+def planned_groups(options: str) -> list[Group]:
+    """The runs that a sweep's options stand for."""
+    parsed = parse(SweepOptions, shlex.split(options), "python -m cgm_jax.sweep")
+    return build_groups(parsed.preset or "quick", seed_values(parsed, chosen_values(parsed)))
+
+
+def _runs_of(groups: list[Group]) -> list[tuple[Settings, Run]]:
+    """The same however groups are split."""
+    return [(group.settings, run) for group in groups for run in group.runs]
 
 
 def is_done(rows: list[dict[str, Any]], settings: Settings) -> bool:
@@ -73,11 +94,11 @@ def is_done(rows: list[dict[str, Any]], settings: Settings) -> bool:
     return settings.leave_at is not None and holds(rates, settings.leave_at)
 
 
-def write_results(question: str, plan: dict[str, Any]) -> Path:
-    """Write everything that the report shows for a question."""
+def write_results(question: str, plan: dict[str, Any], sweeps: dict[str, str]) -> Path:
+    """Write everything that the report shows for a question; `sweeps` are all sweeps' options."""
     target = RESULTS / question
     target.mkdir(parents=True, exist_ok=True)
-    rows = [row for sweep in plan["sweeps"] for row in trained_rows(sweep)]
+    rows = [row for sweep in plan["sweeps"] for row in trained_rows(sweep, sweeps[sweep])]
     if not rows:
         sys.exit(f"{question}: nothing trained yet")
     for sweep in plan["sweeps"]:
@@ -109,7 +130,7 @@ def main() -> None:
         plan = plans["questions"][question]
         for sweep in [] if options.draw else plan["sweeps"]:
             train(sweep, plans["sweeps"][sweep])
-        print(write_results(question, plan))
+        print(write_results(question, plan, plans["sweeps"]))
 
 
 if __name__ == "__main__":

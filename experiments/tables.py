@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from cgm_jax.report.statistics import HOLDING_EVALUATIONS, first_to_reach
+from cgm_jax.statistics import HOLDING_EVALUATIONS, first_to_reach, quartiles
 
 Row = dict[str, Any]
 LEVELS = (0.5, 0.9)
-QUARTILES = (25, 50, 75)
 
 
 class Setting(NamedTuple):
@@ -45,7 +44,7 @@ def setting_of(row: Row) -> Setting:
     """The setting of a metrics row."""
     c_g = row["c_g"] if row["cgm"] and row["kappa"] else None
     kappa = row["kappa"] if row["cgm"] else None
-    factorised = row.get("factorised", True) or c_g is None
+    factorised = row["factorised"] or c_g is None
     return Setting(row["env"], row["her"], row["cgm"], c_g, kappa, factorised)
 
 
@@ -58,10 +57,17 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def runs_by_setting(rows: Sequence[Row]) -> dict[Setting, dict[int, list[Row]]]:
-    """Rows in order of epochs, by setting and seed."""
+    """Rows in order of epochs, by setting and seed.
+
+    Raises:
+        ValueError: two runs share a setting and a seed.
+    """
     settings: dict[Setting, dict[int, list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
-        settings[setting_of(row)][row["seed"]].append(row)
+        run = settings[setting_of(row)][row["seed"]]
+        if run and (run[0]["sweep"], run[0]["run"]) != (row["sweep"], row["run"]):
+            raise ValueError(f"{run[0]['run']} and {row['run']} are the same run twice")
+        run.append(row)
     return {setting: dict(seeds) for setting, seeds in settings.items()}
 
 
@@ -69,32 +75,40 @@ def learning_speed(rows: Sequence[Row]) -> list[Row]:
     """Per setting: how soon its seeds reach 50 and 90 % success, and where they end.
 
     A level is reached at the first evaluation that shows it. Medians (of env_steps also the
-    quartiles) over seeds; empty where that quartile of the seeds never reaches it.
+    quartiles) over seeds; empty where that quartile of the seeds never reaches it. Empty as well:
+    seconds of runs that trained side by side, and what lies beyond the success at which runs left.
     """
     table = []
     for setting, seeds in runs_by_setting(rows).items():
         runs = list(seeds.values())
         entry: Row = {**setting._asdict(), "seeds": len(runs)}
+        leave_at = min((run[0]["leave_at"] or 1.0) for run in runs)
         for level in LEVELS:
-            reached = [first_to_reach(run, level) for run in runs]
-            name = f"{100 * level:.0f}"
-            entry[f"reach_{name}"] = sum(row is not None for row in reached)
-            for measure in ("env_steps", "wall_s"):
-                values = [row[measure] if row else np.inf for row in reached]
-                low, median, high = (_or_empty(q) for q in _quartiles(values))
-                entry[f"{measure}_to_{name}"] = median
-                if measure == "env_steps":
-                    entry |= {f"{measure}_to_{name}_low": low, f"{measure}_to_{name}_high": high}
+            arrivals = _arrivals(runs, level)
+            if level > leave_at:
+                arrivals = dict.fromkeys(arrivals, "")
+            entry |= {f"{name}_{100 * level:.0f}": value for name, value in arrivals.items()}
         ends = [final_success(run) for run in runs]
-        entry |= {"final_success": round(float(np.median(ends)), 3), "worst_seed": min(ends)}
+        last = (round(float(np.median(ends)), 3), min(ends)) if leave_at == 1.0 else ("", "")
+        entry |= dict(zip(("final_success", "worst_seed"), last, strict=True))
         entry["env_steps"] = max(run[-1]["env_steps"] for run in runs)
         table.append(entry)
     return table
 
 
-def _quartiles(values: Sequence[float]) -> np.ndarray:
-    """One between a run that reached a level and one that did not is not reached."""
-    return np.percentile(values, QUARTILES, method="higher")
+def _arrivals(runs: Sequence[Sequence[Row]], level: float) -> Row:
+    """How many runs reach a success, and when; the names end where the level goes."""
+    reached = [first_to_reach(run, level) for run in runs]
+    low, median, high = quartiles([row["env_steps"] if row else np.inf for row in reached])
+    seconds = quartiles([row["wall_s"] if row else np.inf for row in reached])[1]
+    alone = all(run[0]["alone"] for run in runs)
+    return {
+        "reach": sum(row is not None for row in reached),
+        "env_steps_to": _or_empty(median),
+        "low_quartile_to": _or_empty(low),
+        "high_quartile_to": _or_empty(high),
+        "wall_s_to": _or_empty(seconds) if alone else "",
+    }
 
 
 def _or_empty(value: float) -> int | str:
@@ -136,7 +150,11 @@ def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
     settings = runs_by_setting(rows)
     table = []
     for one, other in itertools.product(settings, repeat=2):
-        if one[:2] != other[:2] or _is_baseline(one) or not _is_baseline(other):
+        if (
+            (one.env, one.her) != (other.env, other.her)
+            or _is_baseline(one)
+            or not _is_baseline(other)
+        ):
             continue
         pair = [list(settings[key].values()) for key in (one, other)]
         if min(map(len, pair)) < 2:

@@ -13,5 +13,5 @@ What keeps a sweep from losing anything:
     checkpoint.py       where a group of runs stands, as checked files
     interruption.py     Ctrl-C and SIGTERM; watchdog.py where a program stands if it hangs
     device_errors.py    errors from below JAX, in one line
-    arrays.py, files.py files of arrays from strangers; files that are whole or not there
+    files.py            files that are whole or not there
 """

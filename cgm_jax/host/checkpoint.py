@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.host.arrays import read_shapes, write_arrays
+from cgm_jax.arrays import read_shapes, write_arrays
 from cgm_jax.host.files import PARTIAL, replacing
 from cgm_jax.settings import SettingError
 from cgm_jax.training_state import TrainingState

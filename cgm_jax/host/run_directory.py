@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
+from cgm_jax.arrays import write_arrays
 from cgm_jax.grid import Group, Run
-from cgm_jax.host.arrays import write_arrays
 from cgm_jax.host.files import replacing
 from cgm_jax.host.lock import locked
 from cgm_jax.settings import Hyperparameters, SettingError, Settings, check
@@ -213,7 +213,8 @@ def _commit() -> str | None:
     checkout = Path(__file__).parents[2]
     if not (checkout / ".git").exists():
         return None
-    git = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
+    describe = ["describe", "--always", "--exclude=*", "--abbrev=12", "--dirty"]
+    git = ["git", "-C", str(checkout), *describe]
     try:
         result = subprocess.run(git, capture_output=True, text=True, check=False)
     except OSError:

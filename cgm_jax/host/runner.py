@@ -23,8 +23,8 @@ from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.programs import Programs, make_programs, stack_runs
-from cgm_jax.report.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.settings import Hyperparameters, SettingError
+from cgm_jax.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.training import Metrics, Trainer
 
 

@@ -5,6 +5,7 @@ epochs_to_half.png    epochs to 50 % success over c_g, one line per kappa (the p
 mask_success.png      estimated against training success per mask (the paper's Fig. 5)
 """
 
+import math
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from cgm_jax.host.files import replacing
 from cgm_jax.host.run_directory import RunDirectory
-from cgm_jax.report.statistics import first_to_reach
+from cgm_jax.statistics import first_to_reach, quartiles
 
 Rows = list[dict[str, Any]]
 QUARTILES = (25, 50, 75)
@@ -164,14 +165,10 @@ def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> 
         panel.plot(rates, high, linestyle="--", linewidth=0.8, color=colour)
 
 
-def _epochs_to_half(rows: Rows) -> np.ndarray:
-    """Quartiles over runs of the first epoch at 50 %; infinite where it was not reached.
-
-    A quartile between a reached and an unreached run is unreached.
-    """
+def _epochs_to_half(rows: Rows) -> tuple[float, float, float]:
+    """Quartiles over runs of the first epoch at 50 %; infinite where it was not reached."""
     reached = [first_to_reach(run, 0.5) for run in _grouped(rows, lambda r: r["run"]).values()]
-    epochs = [row["epoch"] if row else np.inf for row in reached]
-    return np.percentile(epochs, QUARTILES, method="higher")
+    return quartiles([row["epoch"] if row else math.inf for row in reached])
 
 
 def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:

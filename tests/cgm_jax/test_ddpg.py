@@ -139,3 +139,41 @@ def test_an_update_of_the_critic_alone_leaves_the_actor_and_counts() -> None:
         rtol=1e-5,
     )
     assert info.keys() == full_info.keys() - {"actor_loss"}
+
+
+def test_the_actor_follows_the_critic_from_before_the_update() -> None:
+    ddpg, agent, batch = example()
+    hyper = Hyperparameters()
+    once, _ = ddpg.update(agent, batch, hyper)
+    twice, _ = ddpg.update(once, batch, hyper)
+    gradient = jax.grad(ddpg.actor_loss, has_aux=True)(once.actor, once, batch, hyper)[0]
+    moment, before = (
+        state.actor_optimiser.mu["params"]["layer_0"]["kernel"]  # pyright: ignore
+        for state in (twice, once)
+    )
+    expected = 0.9 * before + 0.1 * gradient["params"]["layer_0"]["kernel"]
+    np.testing.assert_allclose(moment, expected, rtol=1e-4, atol=1e-7)
+
+
+def test_training_takes_the_minibatches_in_turn_and_the_actor_every_third() -> None:
+    ddpg, agent, _ = example()
+    ddpg, hyper = dataclasses.replace(ddpg, actor_update_every=3), Hyperparameters()
+    generator = np.random.default_rng(1)
+    batches = Minibatch(
+        *(jnp.asarray(generator.normal(size=(6, 16, *size)), jnp.float32) for size in SIZES)
+    )
+    trained, losses = ddpg.train(agent, batches, hyper)
+    expected, logged = agent, []
+    for i in range(6):
+        batch = jax.tree.map(lambda rows, i=i: rows[i], batches)
+        update = ddpg.update if i in (2, 5) else ddpg.update_critic
+        expected, info = update(expected, batch, hyper)
+        logged += [info] if i in (2, 5) else []
+    for one, other in zip(jax.tree.leaves(trained), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-6)
+    for name, values in losses.items():
+        np.testing.assert_allclose(values, [info[name] for info in logged], rtol=1e-4)
+
+
+SIZES = [(3,), (2,), (), (3,)]
+"""Of an example's inputs, action, reward and next inputs."""

@@ -48,6 +48,12 @@ def test_every_traced_setting_can_be_an_axis_and_names_its_runs() -> None:
         assert len(names({"kappa": [32.0], item.name: values})) == 2, item.name
 
 
+def test_masks_drawn_uniformly_make_one_run_whatever_the_rates() -> None:
+    options = {"kappa": [0.0], "c_g": [0.1, 0.4], "factorised": [True, False]}
+    assert len(names(options)) == 1
+    assert len(names({**options, "kappa": [1.0]})) == 4
+
+
 @pytest.mark.parametrize("name", [name for name in STATIC if name != "env"])
 def test_every_static_setting_refuses_to_be_an_axis_by_name(name: str) -> None:
     with pytest.raises(SettingError, match=f"^{name}: is static"):

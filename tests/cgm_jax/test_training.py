@@ -212,7 +212,7 @@ def test_masks_are_judged_by_product_or_joint_rate() -> None:
     np.testing.assert_allclose(joint, [1.0, 0.5, 0.5, 0.5])
 
 
-def test_the_actor_is_updated_once_in_so_many_updates_of_the_critic() -> None:
+def test_a_cycle_updates_the_actor_once_in_so_many_updates_of_the_critic() -> None:
     settings = dataclasses.replace(TINY, updates_per_cycle=6, actor_update_every=3)
     trainer = Trainer(TRAINER.env, settings)
     state = trainer.initial_state(Hyperparameters())

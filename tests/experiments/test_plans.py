@@ -1,21 +1,15 @@
-import shlex
 import tomllib
 
 import pytest
 
-from cgm_jax.grid import build_groups
-from cgm_jax.host.command_line import chosen_values, parse, seed_values
-from cgm_jax.sweep import SweepOptions
-from experiments.run import FIGURES, PLANS
+from experiments.run import FIGURES, PLANS, planned_groups
 
 PLAN = tomllib.loads(PLANS.read_text())
 
 
 @pytest.mark.parametrize("name", PLAN["sweeps"])
 def test_every_sweep_is_one_that_the_program_takes(name: str) -> None:
-    options = parse(SweepOptions, shlex.split(PLAN["sweeps"][name]), "sweep")
-    groups = build_groups(options.preset or "", seed_values(options, chosen_values(options)))
-    (group,) = groups
+    (group,) = planned_groups(PLAN["sweeps"][name])
     assert name == "quick" or name.startswith(group.settings.env)
 
 

@@ -17,6 +17,8 @@ BASELINES: list[dict[str, Any]] = [{"cgm": False}, {"kappa": 0.0}, {"factorised"
 def run(seed: int, rates: list[float | None], *, cgm: bool = True) -> list[dict[str, Any]]:
     """Rows of one run: an evaluation every 1,000 env_steps and 2 seconds."""
     fixed = {"env": "push", "her": True, "cgm": cgm, "c_g": 0.1, "kappa": 32.0, "seed": seed}
+    fixed |= {"factorised": True, "sweep": "one", "run": f"{cgm}{seed}", "alone": True}
+    fixed |= {"leave_at": None}
     return [
         {**fixed, "env_steps": 1000 * i, "wall_s": 2.0 * i, "success_rate": rate}
         for i, rate in enumerate(rates, start=1)
@@ -28,10 +30,23 @@ def test_learning_speed_is_the_median_of_first_arrivals() -> None:
     (entry,) = learning_speed(rows)
     assert entry["seeds"] == 3
     assert (entry["reach_50"], entry["env_steps_to_50"], entry["wall_s_to_50"]) == (3, 2000, 4)
-    assert (entry["env_steps_to_50_low"], entry["env_steps_to_50_high"]) == (2000, 3000)
+    assert (entry["low_quartile_to_50"], entry["high_quartile_to_50"]) == (2000, 3000)
     assert (entry["reach_90"], entry["env_steps_to_90"]) == (1, "")  # two of three never do
     assert entry["final_success"] == pytest.approx(1.6 / 3, abs=1e-3)
     assert entry["worst_seed"] == pytest.approx(0.2)
+
+
+def test_seconds_of_runs_side_by_side_and_levels_beyond_the_end_are_left_out() -> None:
+    rows = [{**row, "alone": False, "leave_at": 0.5} for row in run(0, [0.2, 0.6])]
+    (entry,) = learning_speed(rows)
+    assert (entry["reach_50"], entry["env_steps_to_50"], entry["wall_s_to_50"]) == (1, 2000, "")
+    assert (entry["reach_90"], entry["env_steps_to_90"], entry["final_success"]) == ("", "", "")
+
+
+def test_runs_that_share_setting_and_seed_are_not_taken_for_one() -> None:
+    twice = run(0, [0.5]) + [{**row, "sweep": "other"} for row in run(0, [0.5])]
+    with pytest.raises(ValueError, match="the same run twice"):
+        learning_speed(twice)
 
 
 def test_settings_without_cgm_share_a_line_whatever_c_g_they_carry() -> None:
@@ -63,7 +78,7 @@ def test_improvement_compares_as_far_as_all_runs_got() -> None:
 
 def test_baselines_are_compared_with_and_not_among_themselves() -> None:
     rows = run(0, [0.5]) + run(1, [0.5])
-    others = [{**row, **change} for row in rows for change in BASELINES]
+    others = [{**row, **change, "run": str(change)} for row in rows for change in BASELINES]
     table = improvement(rows + others, resamples=200)
     assert [entry["baseline"] for entry in table] == [
         *("no CGM", "uniform masks", "CGM, joint rates (10 %, 32)")

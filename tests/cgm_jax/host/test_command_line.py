@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[3]
+from tests.cgm_jax.sweeps import ROOT
+
 SMOKE = ["--preset", "smoke", "--engine", "native"]
 
 

@@ -57,6 +57,7 @@ def test_phases_do_not_add_up() -> None:
 
 CASES = {
     "minibatches": {"updates_per_cycle": 40, "batch_size": 1024},
+    "late actor": {"updates_per_cycle": 40, "batch_size": 1024, "actor_update_every": 40},
     "rollouts": {"environments": 2048, "replay_transitions": 1000, "hidden_layers": (64, 64)},
     "networks": {"hidden_layers": (768, 768), "updates_per_cycle": 2},
 }

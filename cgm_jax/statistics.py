@@ -14,6 +14,17 @@ def holds(rates: Sequence[float | None], level: float) -> bool:
     return len(last) == HOLDING_EVALUATIONS and sum(last) / len(last) >= level
 
 
+def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """Lower quartile, median and upper quartile of when runs got somewhere.
+
+    Each is one of the values, between two of them the later, so that one between a run that
+    arrived and one that never did (infinity) never did.
+    """
+    ordered, last = sorted(values), len(values) - 1
+    low, median, high = (ordered[math.ceil(share * last)] for share in (0.25, 0.5, 0.75))
+    return low, median, high
+
+
 def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
     """Confidence interval of a success rate (Wilson 1927); z = 1.96 for 95 %.
 

@@ -1,6 +1,15 @@
+import math
+
 import pytest
 
-from cgm_jax.report.statistics import first_to_reach, wilson_interval
+from cgm_jax.statistics import first_to_reach, quartiles, wilson_interval
+
+
+def test_a_quartile_between_arrival_and_none_is_none() -> None:
+    assert quartiles([5.0, 1.0, 3.0, 2.0, 4.0]) == (2.0, 3.0, 4.0)
+    assert quartiles([1.0, math.inf]) == (math.inf, math.inf, math.inf)
+    assert quartiles([math.inf, 2.0, 1.0]) == (2.0, 2.0, math.inf)
+    assert quartiles([7.0]) == (7.0, 7.0, 7.0)
 
 
 def test_wilson_interval_by_hand() -> None:
