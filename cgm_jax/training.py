@@ -234,18 +234,13 @@ class Trainer:
     def _update(
         self, state: TrainingState, hyper: Hyperparameters, key: jax.Array
     ) -> TrainingState:
-        agent, losses = _vmap_for_platform(self._update_agent)(
+        agent, losses = _vmap_for_platform(self.ddpg.train)(
             state.agent, self.minibatches(state, hyper, key), hyper
         )
         failure, agent = freeze_if_failed(state.failure, state.agent, agent)
         return state.replace(
             agent=agent, failure=failure, statistics=_add_losses(state.statistics, losses)
         )
-
-    def _update_agent(
-        self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
-    ) -> tuple[Agent, Metrics]:
-        return self.ddpg.train(agent, batches, hyper)
 
 
 def deterministic_actor(settings: Settings, agent: Agent) -> Parameters:
