@@ -100,7 +100,7 @@ class RunDirectory:
             "commit": _commit(),
             "device": device,
             "flags": os.environ.get("XLA_FLAGS", ""),
-            "machine": f"{platform.platform()}, {os.cpu_count()} cores",
+            "machine": f"{platform.platform()}, {_cores()}",
         }
         with replacing(self.path / CONFIG, durable=True) as file:
             file.write((json.dumps(config, indent=2) + "\n").encode())
@@ -220,6 +220,14 @@ def _commit() -> str | None:
     except OSError:
         return None
     return result.stdout.strip() or None
+
+
+def _cores() -> str:
+    """How many cores there are, and how many of them a process bound to some may use."""
+    from envs.physics.native import available_cores  # imports JAX
+
+    usable, there = available_cores(), os.cpu_count()
+    return f"{there} cores" if usable == there else f"{usable} of {there} cores"
 
 
 def _plain(value: Any) -> Any:
