@@ -94,11 +94,11 @@ def sample_masks(key: jax.Array, probabilities: jax.Array, count: int) -> jax.Ar
     return jax.random.categorical(key, jnp.log(probabilities), shape=(count,))
 
 
-class SubgoalHistory(struct.PyTreeNode):
-    """Outcomes per sub-goal of the last h evaluation rollouts.
+class SuccessHistory(struct.PyTreeNode):
+    """Outcomes of the last h evaluation rollouts, per sub-goal or per mask.
 
     Attributes:
-        successes: [h, n] of 0 and 1, the newest last.
+        successes: [h, columns] of 0 and 1, the newest last.
         count: how many rows, counted from the last, are filled; int32 scalar.
     """
 
@@ -106,19 +106,19 @@ class SubgoalHistory(struct.PyTreeNode):
     count: jax.Array
 
 
-def empty_history(length: int, goal_size: int) -> SubgoalHistory:
+def empty_history(length: int, columns: int) -> SuccessHistory:
     """A history of the last `length` rollouts that has seen none."""
-    return SubgoalHistory(jnp.zeros((length, goal_size)), jnp.zeros((), jnp.int32))
+    return SuccessHistory(jnp.zeros((length, columns)), jnp.zeros((), jnp.int32))
 
 
 def record_successes(
-    history: SubgoalHistory, successes: jax.Array, valid: jax.Array
-) -> SubgoalHistory:
+    history: SuccessHistory, successes: jax.Array, valid: jax.Array
+) -> SuccessHistory:
     """Append evaluation rollouts; the oldest beyond the history's length drop out.
 
     Args:
         history: outcomes so far, of length h.
-        successes: [k, n], in the order in which they happened.
+        successes: [k, columns], in the order in which they happened.
         valid: [k] bool; rollouts with broken physics are left out.
     """
     length = history.successes.shape[0]
@@ -126,25 +126,29 @@ def record_successes(
     rows = jnp.concatenate([history.successes, successes.astype(history.successes.dtype)])
     counts = jnp.concatenate([filled, valid])
     newest_last = jnp.argsort(counts, stable=True)[-length:]
-    return SubgoalHistory(
+    return SuccessHistory(
         successes=rows[newest_last],
         count=jnp.minimum(history.count + valid.sum(dtype=jnp.int32), length),
     )
 
 
-def subgoal_rates(history: SubgoalHistory, c_g: ArrayLike) -> jax.Array:
+def success_rates(history: SuccessHistory, default: ArrayLike) -> jax.Array:
+    """Success rate of every column over the history; `default` before any evaluation."""
+    length = history.successes.shape[0]
+    filled = jnp.arange(length) >= length - history.count
+    total = jnp.sum(jnp.where(filled[:, None], history.successes, 0.0), axis=0)
+    return jnp.where(history.count > 0, total / jnp.maximum(history.count, 1), default)
+
+
+def subgoal_rates(history: SuccessHistory, c_g: ArrayLike) -> jax.Array:
     """Success rate [n] per sub-goal over the history.
 
     Before any evaluation it is c_g^(1/n), so that the full goal is estimated at c_g.
     """
-    length, goal_size = history.successes.shape
-    filled = jnp.arange(length) >= length - history.count
-    total = jnp.sum(jnp.where(filled[:, None], history.successes, 0.0), axis=0)
-    default = jnp.power(c_g, 1.0 / goal_size)
-    return jnp.where(history.count > 0, total / jnp.maximum(history.count, 1), default)
+    return success_rates(history, jnp.power(c_g, 1.0 / history.successes.shape[-1]))
 
 
-def joint_success_rates(masks: jax.Array, history: SubgoalHistory, c_g: ArrayLike) -> jax.Array:
+def joint_success_rates(masks: jax.Array, history: SuccessHistory, c_g: ArrayLike) -> jax.Array:
     """Success rate [m] of every mask, without assuming that sub-goals are independent.
 
     Not in the paper, whose product this judges: the share of the history's rollouts that achieved
@@ -155,10 +159,6 @@ def joint_success_rates(masks: jax.Array, history: SubgoalHistory, c_g: ArrayLik
         history: outcomes of evaluation rollouts, of length h.
         c_g: the rate aimed at, scalar in [0, 1].
     """
-    length = history.successes.shape[0]
-    filled = jnp.arange(length) >= length - history.count
-    achieved = jnp.all((masks[:, None] == 0) | (history.successes > 0), axis=-1)  # [m, h]
-    rates = jnp.sum(achieved & filled, axis=-1) / jnp.maximum(history.count, 1)
-    return jnp.where(
-        history.count > 0, rates, mask_success_rates(masks, subgoal_rates(history, c_g))
-    )
+    achieved = jnp.all((masks == 0) | (history.successes[:, None] > 0), axis=-1)  # [h, m]
+    product = mask_success_rates(masks, subgoal_rates(history, c_g))
+    return success_rates(SuccessHistory(achieved, history.count), product)

@@ -73,7 +73,10 @@ class Settings:
     replay_transitions: int = _setting(1_000_000, "capacity of the replay buffer", 1, 10**10)
     evaluate_target: bool = _setting(False, "evaluate and export the target actor")
     evaluation_episodes: int = _setting(20, "noise-free full-goal episodes per epoch", 1, 10**6)
-    success_history: int = _setting(10, "evaluation episodes behind sub-goal rates, h", 1, 10**6)
+    masked_evaluation_episodes: int = _setting(
+        0, "also per mask, to measure its success; 0: estimate it from the full goal's", 0, 10**6
+    )
+    success_history: int = _setting(10, "evaluation episodes behind success rates, h", 1, 10**6)
 
     leave_at: float | None = _setting(
         None, "end runs early once all side by side hold this success (default: never)", 0, 1

@@ -20,6 +20,7 @@ from cgm_jax.ddpg import DDPG, Agent, Minibatch, Parameters, prepare
 from cgm_jax.divergence import freeze_if_failed
 from cgm_jax.exploration import Exploration, draw_exploration, explore
 from cgm_jax.masking import (
+    SuccessHistory,
     empty_history,
     goal_masks,
     joint_success_rates,
@@ -28,6 +29,7 @@ from cgm_jax.masking import (
     record_successes,
     sample_masks,
     subgoal_rates,
+    success_rates,
 )
 from cgm_jax.normaliser import initial_normaliser, network_input, observe
 from cgm_jax.relabelling import sample_transitions
@@ -97,6 +99,7 @@ class Trainer:
                 self.env.action_size,
             ),
             history=empty_history(self.settings.success_history, goal_size),
+            mask_history=empty_history(self.settings.success_history, 2**goal_size),
             statistics=empty_statistics(2**goal_size),
             env_steps=jnp.zeros((), jnp.int32),
             failure=jnp.zeros((), jnp.int32),
@@ -151,14 +154,16 @@ class Trainer:
     ) -> tuple[jax.Array, jax.Array]:
         """Per mask [2^n]: its estimated success rate, and its probability of being drawn.
 
-        Without CGM the full goal has probability 1.
+        Once masks have been measured, their rate is the measured one. Without CGM the full goal
+        has probability 1.
         """
         masks = goal_masks(self._sizes[1])
-        rates = jnp.where(
+        estimates = jnp.where(
             hyper.factorised,
             mask_success_rates(masks, subgoal_rates(state.history, hyper.c_g)),
             joint_success_rates(masks, state.history, hyper.c_g),
         )
+        rates = success_rates(state.mask_history, estimates)
         only_full_goal = jnp.zeros(len(masks)).at[-1].set(1.0)
         probabilities = mask_probabilities(rates, hyper.c_g, hyper.kappa)
         return rates, jnp.where(hyper.cgm, probabilities, only_full_goal)
@@ -172,12 +177,13 @@ class Trainer:
         metrics.jsonl holds. Mask rates and probabilities are those that the epoch was trained
         with, so before this evaluation. Evaluation steps do not count as `env_steps`.
         """
-        key, reset_key = jax.random.split(state.key)
+        key, reset_key, masked_key = jax.random.split(state.key, 3)
         full = jnp.ones((self.settings.evaluation_episodes, self._sizes[1]))
         policy = self._policy(state, deterministic_actor(self.settings, state.agent))
         rollout = roll_out(self.env, policy, reset_key, full)
         valid = rollout.valid
         episodes = valid.sum()  # of which there may be none: 0 / 0 is NaN, written as null
+        mask_history, broken = self._measure_masks(state, policy, masked_key)
         statistics = state.statistics
         rates, probabilities = self.curriculum(state, hyper)
         metrics = {
@@ -188,15 +194,35 @@ class Trainer:
             "mask_rate_estimated": rates,
             "mask_rate_training": statistics.mask_successes / statistics.mask_episodes,
             "mask_probability": probabilities,
-            "physics_warnings": statistics.physics_warnings + jnp.sum(~valid),
+            "physics_warnings": statistics.physics_warnings + jnp.sum(~valid) + broken,
             "failure": state.failure,
             **{name: total / statistics.updates for name, total in statistics.losses.items()},
         }
         return state.replace(
             key=key,
             history=record_successes(state.history, rollout.subgoal_success, valid),
+            mask_history=mask_history,
             statistics=empty_statistics(len(rates)),
         ), metrics
+
+    def _measure_masks(
+        self, state: TrainingState, policy: Policy, key: jax.Array
+    ) -> tuple[SuccessHistory, jax.Array]:
+        """Noise-free episodes with masked goals, equally many per mask.
+
+        Returns:
+            What is known of masks with them, and how many of them broken physics cost.
+        """
+        each = self.settings.masked_evaluation_episodes
+        if not each:
+            return state.mask_history, jnp.zeros(())
+        masks = goal_masks(self._sizes[1])
+        rollout = roll_out(self.env, policy, key, jnp.tile(masks, (each, 1)))
+        successes, valid = (
+            outcome.reshape(each, len(masks)) for outcome in (rollout.masked_success, rollout.valid)
+        )
+        history = record_successes(state.mask_history, successes, valid.all(axis=1))
+        return history, jnp.sum(~valid)
 
     def _policy(self, state: TrainingState, actor: Parameters) -> Policy:
         """An actor with the state's normaliser, and with noise where there is some."""

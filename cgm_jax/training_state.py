@@ -10,7 +10,7 @@ import numpy as np
 from flax import struct
 
 from cgm_jax.ddpg import Agent
-from cgm_jax.masking import SubgoalHistory
+from cgm_jax.masking import SuccessHistory
 from cgm_jax.normaliser import Normaliser
 from cgm_jax.replay import Replay
 from cgm_jax.settings import Hyperparameters
@@ -57,7 +57,10 @@ class TrainingState(struct.PyTreeNode):
 
     Attributes:
         key: source of all further randomness.
-        agent, normaliser, replay, history: see their modules.
+        agent, normaliser, replay: see their modules.
+        history: outcomes of evaluation rollouts with the full goal, per sub-goal.
+        mask_history: outcomes of those with masked goals, per mask; empty unless
+            `masked_evaluation_episodes` asks for some.
         statistics: of the epoch in progress.
         env_steps: training steps over all environments so far, int32.
         failure: 0, or what has diverged, see `divergence.failure_of`; then the agent is frozen.
@@ -67,7 +70,8 @@ class TrainingState(struct.PyTreeNode):
     agent: Agent
     normaliser: Normaliser
     replay: Replay
-    history: SubgoalHistory
+    history: SuccessHistory
+    mask_history: SuccessHistory
     statistics: EpochStatistics
     env_steps: jax.Array
     failure: jax.Array

@@ -79,7 +79,9 @@ def estimate_memory(trainer: Trainer) -> MemoryEstimate:
     environment = tree_bytes(jax.eval_shape(trainer.env.reset, key))
     step = 2 * environment + 4 * sum(sorted(settings.hidden_layers)[-2:])  # before and after
     rollout = settings.environments * (TRAINING_COPIES * episode + step)
-    evaluation = settings.evaluation_episodes * (EVALUATION_COPIES * episode + step)
+    masks = 2 ** state.history.successes.shape[-1]
+    episodes = max(settings.evaluation_episodes, masks * settings.masked_evaluation_episodes)
+    evaluation = episodes * (EVALUATION_COPIES * episode + step)
     agent, batches = tree_bytes(state.agent), tree_bytes(minibatches)
     layers = int(LAYER_COPIES * 4 * settings.batch_size * sum(settings.hidden_layers))
     on_cpu = jax.default_backend() == "cpu"  # which updates one run after the other

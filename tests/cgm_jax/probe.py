@@ -31,7 +31,7 @@ class OneStepProbe:
         goal = jnp.asarray(self.goals)[
             jax.random.randint(rng, (self.goal_size,), 0, len(self.goals))
         ]
-        return self._state(jnp.zeros(1), goal)
+        return self._state(jnp.zeros(self.goal_size), goal)
 
     def step(self, state: State, action: jax.Array) -> State:
         return self._state(jnp.where(action > 0, 1.0, -1.0), state.obs["desired_goal"])

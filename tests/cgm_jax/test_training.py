@@ -212,6 +212,36 @@ def test_masks_are_judged_by_product_or_joint_rate() -> None:
     np.testing.assert_allclose(joint, [1.0, 0.5, 0.5, 0.5])
 
 
+def test_measured_masks_are_judged_by_episodes_with_their_own_masked_goal() -> None:
+    """A policy that needs to see y to achieve x: with y masked x fails, which no estimate knows."""
+    settings = dataclasses.replace(TINY, masked_evaluation_episodes=3)
+    trainer = Trainer(OneStepProbe((1.0,), goal_size=2, action_size=2), settings)
+    state = trainer.initial_state(Hyperparameters())
+    actor = jax.tree.map(jnp.zeros_like, state.agent.actor)
+    y = 2  # inputs are the observation [1] and the goal [2]
+    actor["params"]["layer_0"]["kernel"] = actor["params"]["layer_0"]["kernel"].at[y, 0].set(1.0)
+    actor["params"]["layer_1"]["kernel"] = actor["params"]["layer_1"]["kernel"].at[0, 0].set(1.0)
+    actor["params"]["layer_2"]["kernel"] = actor["params"]["layer_2"]["kernel"].at[0, :].set(2.0)
+    actor["params"]["layer_2"]["bias"] -= 1.0  # both actions: 1 where y is 1, -1 where it is masked
+    state = state.replace(agent=state.agent.replace(actor=actor))
+    before, _ = trainer.curriculum(state, Hyperparameters(c_g=0.25))
+    np.testing.assert_allclose(before, [1.0, 0.5, 0.5, 0.25])
+    state, metrics = jax.jit(trainer.evaluate)(state, Hyperparameters())
+    assert float(metrics["success_rate"]) == 1.0
+    assert int(state.mask_history.count) == 3
+    rates, _ = trainer.curriculum(state, Hyperparameters())
+    np.testing.assert_array_equal(rates, [1.0, 1.0, 0.0, 1.0])
+
+
+def test_episodes_of_measured_masks_with_broken_physics_are_counted() -> None:
+    settings = dataclasses.replace(TINY, masked_evaluation_episodes=3)
+    trainer = Trainer(AlwaysFaultyProbe((1.0,)), settings)
+    state = trainer.initial_state(Hyperparameters())
+    state, metrics = jax.jit(trainer.evaluate)(state, Hyperparameters())
+    assert float(metrics["physics_warnings"]) == TINY.evaluation_episodes + 2 * 3
+    assert int(state.mask_history.count) == 0
+
+
 def test_a_cycle_updates_the_actor_once_in_so_many_updates_of_the_critic() -> None:
     settings = dataclasses.replace(TINY, updates_per_cycle=6, actor_update_every=3)
     trainer = Trainer(TRAINER.env, settings)

@@ -39,6 +39,8 @@ def test_the_parts_of_a_run_by_hand() -> None:
     step = 2 * 4 * (4 + 2 + 2 + 2) + 4 * (16 + 16)  # the environment, reward and done; layers
     assert estimate.rollout == TINY.environments * (4 * episode + step)
     assert estimate.evaluation == TINY.evaluation_episodes * (episode + step)
+    measured = dataclasses.replace(TINY, masked_evaluation_episodes=7)  # of each of four masks
+    assert estimate_memory(Trainer(PointMass(), measured)).evaluation == 28 * (episode + step)
     minibatches = 4 * TINY.updates_per_cycle * TINY.batch_size * (2 * (4 + 2) + 2 + 1)
     assert estimate.minibatches == 2 * minibatches
     actor = 6 * 16 + 16 + 16 * 16 + 16 + 16 * 2 + 2
