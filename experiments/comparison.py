@@ -47,8 +47,10 @@ def _look(setting: Setting) -> tuple[str, str]:
     """Colour and style of a line."""
     if setting.kappa == 0:
         return ("tab:cyan" if setting.her else "gold"), ":"
-    if not setting.factorised:
+    if setting.estimate == "joint":
         return ("tab:purple" if setting.her else "tab:red"), ":"
+    if setting.estimate == "measured":
+        return ("tab:green" if setting.her else "tab:brown"), ":"
     return ("tab:blue" if setting.her else "tab:orange"), "-" if setting.cgm else "--"
 
 
