@@ -78,32 +78,39 @@ def learning_curves(rows: Rows) -> Figure:
 
 
 def epochs_to_half(rows: Rows) -> Figure:
-    """Epochs to 50 % success over c_g, a panel per environment and HER, a line per kappa."""
+    """Epochs to 50 % success over c_g, a panel per environment and HER, a line per kappa.
+
+    Medians over runs, and quartiles as dashed lines. Where a median run never gets there, its
+    point is open and stands at the last epoch.
+    """
     masked = [row for row in rows if row["cgm"]] or rows
     groups = _grouped(masked, lambda row: (row["env"], row["her"]))
     figure, panels = make_panels(len(groups), width=5.0, height=4.0)
     for panel, ((env, her), same) in zip(panels, groups.items(), strict=True):
         last = max(row["epoch"] for row in same)
-        for kappa, kappa_rows in sorted(_grouped(same, lambda row: row["kappa"]).items()):
-            _draw_epochs_over_rate(panel, kappa, kappa_rows, last)
+        by_kappa = sorted(_grouped(same, lambda row: row["kappa"]).items())
+        reached = [
+            _draw_epochs_over_rate(panel, kappa, kappa_rows, last) for kappa, kappa_rows in by_kappa
+        ]
         plain = [r for r in rows if not r["cgm"] and (r["env"], r["her"]) == (env, her)]
         if plain and same[0]["cgm"]:
             median = _epochs_to_half(plain)[1]
             label = "no CGM" if np.isfinite(median) else "no CGM (not reached)"
             panel.axhline(min(median, last), color="black", linestyle="-.", label=label)
-        panel.axhline(last, color="grey", linewidth=0.8, linestyle=":")
-        panel.annotate(
-            f"not within {last} epochs (open)",
-            (0.02, last),
-            xycoords=("axes fraction", "data"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            fontsize=8,
-            color="grey",
-        )
+        if not all(reached):
+            _mark_last_epoch(panel, last)
         panel.set_title(f"{_title(env)}, {'DDPG + HER' if her else 'DDPG'}")
         panel.set_xlabel("target success rate $c_g$ (%)")
         panel.set_ylabel("epochs to 50 % success")
+        steps = same[0]["env_steps"] // same[0]["epoch"]
+        panel.annotate(
+            f"an epoch: {steps:,} env_steps",
+            (0.98, 0.02),
+            xycoords="axes fraction",
+            horizontalalignment="right",
+            fontsize=8,
+            color="grey",
+        )
         panel.set_ylim(0, last * 1.12)
         panel.yaxis.set_major_locator(MaxNLocator(integer=True))
         panel.legend(fontsize=8)
@@ -147,8 +154,25 @@ def _diverged(failed: Rows) -> str:
     return f" ({len(failed)} diverged)" if failed else ""
 
 
-def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> None:
-    """One line: quartiles over runs, at each c_g, of the epoch that first reaches 50 %."""
+def _mark_last_epoch(panel: Axes, last: int) -> None:
+    panel.axhline(last, color="grey", linewidth=0.8, linestyle=":")
+    panel.annotate(
+        f"not within {last} epochs (open)",
+        (0.02, last),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 3),
+        textcoords="offset points",
+        fontsize=8,
+        color="grey",
+    )
+
+
+def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> bool:
+    """One line: quartiles over runs, at each c_g, of the epoch that first reaches 50 %.
+
+    Returns:
+        Whether all medians reach it.
+    """
     points = []
     for c_g, same in sorted(_grouped(rows, lambda row: row["c_g"]).items()):
         quartiles = _epochs_to_half(same)
@@ -163,6 +187,7 @@ def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> 
     if len(rows) > len({(row["c_g"], row["epoch"]) for row in rows}):
         panel.plot(rates, low, linestyle="--", linewidth=0.8, color=colour)
         panel.plot(rates, high, linestyle="--", linewidth=0.8, color=colour)
+    return not unreached.any()
 
 
 def _epochs_to_half(rows: Rows) -> tuple[float, float, float]:

@@ -46,6 +46,14 @@ def test_epochs_to_half_shows_medians_over_seeds_and_the_baseline() -> None:
     assert line(panel, "no CGM")[:, 1].tolist() == [4, 4]
     assert panel.get_xlabel() == "target success rate $c_g$ (%)"
     assert panel.get_ylabel() == "epochs to 50 % success"
+    assert [text.get_text() for text in panel.texts] == [
+        *("not within 4 epochs (open)", "an epoch: 1,000 env_steps")
+    ]
+
+
+def test_epochs_to_half_marks_no_end_where_all_medians_get_there() -> None:
+    (panel,) = epochs_to_half([row for row in rows() if row["c_g"] == 0.1]).axes
+    assert [text.get_text() for text in panel.texts] == ["an epoch: 1,000 env_steps"]
 
 
 def test_learning_curves_show_medians_over_seeds() -> None:
