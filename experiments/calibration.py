@@ -1,13 +1,14 @@
-"""How good is the independence assumption? `python -m experiments.calibration RUN_DIR RUN OUT`.
+"""How good is the independence assumption? `python -m experiments.calibration RUN_DIR OUT`.
 
 The curriculum estimates the success of a masked goal as the product of the success rates of its
 kept sub-goals, measured with the full goal and without noise. The paper's Fig. 5 compares that
 with success in training, which mixes two things: whether the estimate is right, and what
-exploration noise costs. Here every policy that the run kept along the way plays each mask without
-and with noise. Writes OUT/calibration.csv, and OUT/calibration.png.
+exploration noise costs. Here every policy that a run of the directory kept along the way, each of
+them better than all before, plays each mask without and with noise. Writes OUT/calibration.csv
+and OUT/calibration.png.
 """
 
-import re
+import functools
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,11 @@ from matplotlib.figure import Figure
 
 from cgm_jax.environments import make_environment
 from cgm_jax.exploration import Exploration, draw_exploration, explore
+from cgm_jax.grid import Run
 from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.masking import goal_masks, mask_success_rates
 from cgm_jax.policy import act, load_policy
+from cgm_jax.programs import stack_runs
 from cgm_jax.report.figures import mask_label
 from cgm_jax.rollout import roll_out
 from cgm_jax.settings import Hyperparameters
@@ -66,32 +69,34 @@ def success_per_mask(
     }
 
 
-def calibrate(directory: RunDirectory, name: str) -> list[dict[str, Any]]:
-    """One row per kept policy of a run and mask.
+def calibrate(directory: RunDirectory) -> list[dict[str, Any]]:
+    """One row per kept policy and mask, of all runs of a directory.
 
     Raises:
-        ValueError: the directory holds no such run, or the run kept no policy.
+        ValueError: its runs differ in their settings or environments.
     """
-    found = [(group, run) for group in directory.groups() for run in group.runs if run.name == name]
-    paths = {
-        int(match[1]): path
-        for path in (directory.path / "policies" / "improvements").glob(f"{name}_epoch*.npz")
-        if (match := re.search(r"_epoch(\d+)$", path.stem))
-    }
-    if not found or not paths:
-        raise ValueError(f"{directory.path} holds no run {name!r}, or no policies of it")
-    (group, run) = found[0]
-    env = make_environment(group.settings)
-    measure = jax.jit(lambda arrays, key: success_per_mask(env, arrays, run.hyper, key))
+    (settings,) = {group.settings for group in directory.groups()}
+    env = make_environment(settings)
+    measure = jax.jit(functools.partial(success_per_mask, env))
     rows = []
-    for epoch, path in sorted(paths.items()):
-        rates = measure(load_policy(path), jax.random.key(epoch))
-        columns = {column: np.asarray(values, float) for column, values in rates.items()}
-        count = len(columns["product"])
-        for mask in range(1, count):  # the empty mask succeeds by definition
-            entry = {"epoch": epoch, "kept": mask_label(mask, count.bit_length() - 1)}
-            rows.append(entry | {key: round(float(v[mask]), 4) for key, v in columns.items()})
+    for run in (run for group in directory.groups() for run in group.runs):
+        hyper = jax.tree.map(lambda leaf: leaf[0], stack_runs([run]))
+        for epoch, path in kept_policies(directory, run):
+            key = jax.random.fold_in(jax.random.key(run.hyper.seed), epoch)
+            rates = measure(load_policy(path), hyper, key)
+            columns = {column: np.asarray(values, float) for column, values in rates.items()}
+            count = len(columns["product"])
+            for mask in range(1, count):  # the empty mask succeeds by definition
+                entry = {"run": run.name, "epoch": epoch}
+                entry |= {"kept": mask_label(mask, count.bit_length() - 1)}
+                rows.append(entry | {key: round(float(v[mask]), 4) for key, v in columns.items()})
     return rows
+
+
+def kept_policies(directory: RunDirectory, run: Run) -> list[tuple[int, Path]]:
+    """The policies with which a run became better than ever, by epoch."""
+    paths = (directory.path / "policies" / "improvements").glob(f"{run.name}_epoch*.npz")
+    return sorted((int(path.stem.rpartition("_epoch")[2]), path) for path in paths)
 
 
 def errors(rows: list[dict[str, Any]]) -> dict[tuple[str, str], tuple[float, float]]:
@@ -118,7 +123,9 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
             panel.scatter(
                 [row[measured] for row in same],
                 [row["product"] for row in same],
-                s=22,
+                s=14,
+                alpha=0.6,
+                linewidths=0,
                 color=colour,
                 label=label,
             )
@@ -131,9 +138,9 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     return figure
 
 
-def main(directory: Path, name: str, out: Path) -> None:
+def main(directory: Path, out: Path) -> None:
     """Write the table and the figure, and print the errors."""
-    rows = calibrate(RunDirectory.open(directory), name)
+    rows = calibrate(RunDirectory.open(directory))
     out.mkdir(parents=True, exist_ok=True)
     write_table(out / "calibration.csv", rows)
     figure = draw(rows)
@@ -144,6 +151,6 @@ def main(directory: Path, name: str, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
+    if len(sys.argv) != 3:
         sys.exit(__doc__)
-    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -5,6 +5,7 @@
 # pyright: reportGeneralTypeIssues=false
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -72,6 +73,21 @@ class AlwaysFaultyProbe(OneStepProbe):
         after = super().step(state, action)
         after.metrics["physics_warnings"] = jnp.ones(())
         return after
+
+
+def actor_that_needs_to_see_y(actor: Any) -> Any:
+    """Parameters of the same shape whose actions are 1 where input 2 is 1, and -1 where it is 0.
+
+    On a probe with two goal dimensions, which are always 1, input 2 is the goal's y; masked, it
+    is the achieved one, 0 before the step. So this policy achieves x as long as it is asked for y.
+    """
+    actor = jax.tree.map(jnp.zeros_like, actor)
+    first, second, last = (actor["params"][f"layer_{i}"] for i in range(3))
+    first["kernel"] = first["kernel"].at[2, 0].set(1.0)
+    second["kernel"] = second["kernel"].at[0, 0].set(1.0)
+    last["kernel"] = last["kernel"].at[0, :].set(2.0)
+    last["bias"] -= 1.0
+    return actor
 
 
 TINY = Settings(

@@ -13,7 +13,13 @@ from cgm_jax.programs import compilations, make_programs, stack_runs
 from cgm_jax.settings import Hyperparameters, SettingError
 from cgm_jax.training import Metrics, Trainer, deterministic_actor
 from cgm_jax.training_state import TrainingState, stack
-from tests.cgm_jax.probe import TINY, AlwaysFaultyProbe, FaultyProbe, OneStepProbe
+from tests.cgm_jax.probe import (
+    TINY,
+    AlwaysFaultyProbe,
+    FaultyProbe,
+    OneStepProbe,
+    actor_that_needs_to_see_y,
+)
 from tests.examples.point_mass import PointMass
 
 TRAINER = Trainer(PointMass(), TINY)
@@ -217,12 +223,7 @@ def test_measured_masks_are_judged_by_episodes_with_their_own_masked_goal() -> N
     settings = dataclasses.replace(TINY, masked_evaluation_episodes=3)
     trainer = Trainer(OneStepProbe((1.0,), goal_size=2, action_size=2), settings)
     state = trainer.initial_state(Hyperparameters())
-    actor = jax.tree.map(jnp.zeros_like, state.agent.actor)
-    y = 2  # inputs are the observation [1] and the goal [2]
-    actor["params"]["layer_0"]["kernel"] = actor["params"]["layer_0"]["kernel"].at[y, 0].set(1.0)
-    actor["params"]["layer_1"]["kernel"] = actor["params"]["layer_1"]["kernel"].at[0, 0].set(1.0)
-    actor["params"]["layer_2"]["kernel"] = actor["params"]["layer_2"]["kernel"].at[0, :].set(2.0)
-    actor["params"]["layer_2"]["bias"] -= 1.0  # both actions: 1 where y is 1, -1 where it is masked
+    actor = actor_that_needs_to_see_y(state.agent.actor)
     state = state.replace(agent=state.agent.replace(actor=actor))
     before, _ = trainer.curriculum(state, Hyperparameters(c_g=0.25))
     np.testing.assert_allclose(before, [1.0, 0.5, 0.5, 0.25])
