@@ -100,7 +100,7 @@ class RunDirectory:
             "commit": _commit(),
             "device": device,
             "flags": os.environ.get("XLA_FLAGS", ""),
-            "machine": f"{platform.platform()}, {_cores()}",
+            "machine": _machine(),
         }
         with replacing(self.path / CONFIG, durable=True) as file:
             file.write((json.dumps(config, indent=2) + "\n").encode())
@@ -116,20 +116,25 @@ class RunDirectory:
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise self._damaged(error) from None
 
-    def other_versions(self) -> list[str]:
-        """Packages that have another version here than when the sweep began.
+    def changes_since_begun(self) -> list[str]:
+        """Packages, and the machine with its cores, that are others than when the sweep began.
 
         Raises:
             SettingError: the config is damaged.
         """
         try:
-            return [
+            config = self._config()
+            before = {name: was for name, was in config["versions"].items() if name in PACKAGES}
+            changes = [
                 f"{name} {was} (now {now})"
-                for name, was in self._config()["versions"].items()
-                if name in PACKAGES and (now := importlib.metadata.version(name)) != was
+                for name, was in before.items()
+                if (now := importlib.metadata.version(name)) != was
             ]
+            if config["machine"] != _machine():
+                changes.append(f"{config['machine']} (now {_machine()})")
         except (KeyError, TypeError, AttributeError) as error:
             raise self._damaged(error) from None
+        return changes
 
     def _config(self) -> Any:
         try:
@@ -222,12 +227,13 @@ def _commit() -> str | None:
     return result.stdout.strip() or None
 
 
-def _cores() -> str:
-    """How many cores there are, and how many of them a process bound to some may use."""
+def _machine() -> str:
+    """The system, and how many of its cores this process may use: bits depend on both."""
     from envs.physics.native import available_cores  # imports JAX
 
     usable, there = available_cores(), os.cpu_count()
-    return f"{there} cores" if usable == there else f"{usable} of {there} cores"
+    cores = f"{there} cores" if usable == there else f"{usable} of {there} cores"
+    return f"{platform.platform()}, {cores}"
 
 
 def _plain(value: Any) -> Any:

@@ -92,7 +92,7 @@ def _merged(groups: Sequence[Group]) -> list[Group]:
 
 def _notes_on_resuming(directory: RunDirectory) -> list[str]:
     notes = ["going on where it was stopped"]
-    if changed := directory.other_versions():
+    if changed := directory.changes_since_begun():
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
     return notes
 

@@ -35,3 +35,17 @@ with RunDirectory.claimed(pathlib.Path(sys.argv[1]), fresh=True) as directory:
     machine = json.loads((tmp_path / CONFIG).read_text())["machine"]
     there = os.cpu_count()
     assert machine.endswith(", 1 cores" if there == 1 else f", 1 of {there} cores")
+
+
+def test_what_has_changed_since_a_sweep_was_begun_is_named(tmp_path: Path) -> None:
+    with RunDirectory.claimed(tmp_path, fresh=True) as directory:
+        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+    assert directory.changes_since_begun() == []
+    config = json.loads((tmp_path / CONFIG).read_text())
+    now = config["versions"]["jax"], config["machine"]
+    config["versions"]["jax"], config["machine"] = "0.0.1", "another"
+    (tmp_path / CONFIG).write_text(json.dumps(config))
+    assert directory.changes_since_begun() == [
+        f"jax 0.0.1 (now {now[0]})",
+        f"another (now {now[1]})",
+    ]
