@@ -74,7 +74,10 @@ class Settings:
     evaluate_target: bool = _setting(False, "evaluate and export the target actor")
     evaluation_episodes: int = _setting(20, "noise-free full-goal episodes per epoch", 1, 10**6)
     masked_evaluation_episodes: int = _setting(
-        0, "also per mask, to measure its success; 0: estimate it from the full goal's", 0, 10**6
+        0,
+        "noise-free episodes per mask and epoch, to measure its success; 0: estimate it",
+        0,
+        10**6,
     )
     success_history: int = _setting(10, "evaluation episodes behind success rates, h", 1, 10**6)
 
