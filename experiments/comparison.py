@@ -18,7 +18,8 @@ from experiments.tables import Setting, runs_by_setting
 def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
     """Median and quartiles over seeds; a line per algorithm, dashed without CGM.
 
-    DDPG in warm colours, DDPG + HER in cold ones; dotted lines are the other ways to draw masks.
+    DDPG in warm colours, DDPG + HER in cold ones, in grey where hindsight comes from all episodes;
+    dotted lines are the other ways to draw masks.
     The numbers behind CGM are c_g and kappa.
     """
     settings = runs_by_setting(rows)
@@ -32,8 +33,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
                 [row for run in seeds.values() for row in run], "success_rate"
             )
             colour, style = _look(setting)
-            name = f"{'DDPG + HER' if setting.her else 'DDPG'}, {setting.curriculum}"
-            label = f"{name}, {_count(len(seeds))}"
+            label = f"{setting.algorithm}, {setting.curriculum}, {_count(len(seeds))}"
             draw_quartiles(panel, steps, values, label, colour, style)
         panel.set_title(task.replace("_", "-"))
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
@@ -45,6 +45,8 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
 
 def _look(setting: Setting) -> tuple[str, str]:
     """Colour and style of a line."""
+    if setting.her and not setting.her_filter:
+        return "dimgray", "-" if setting.cgm else "--"
     if setting.kappa == 0:
         return ("tab:cyan" if setting.her else "gold"), ":"
     if setting.estimate == "joint":

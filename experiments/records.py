@@ -92,6 +92,7 @@ def is_done(rows: list[Row], settings: Settings) -> bool:
 def _facts(group: Group, run: Run) -> Row:
     estimate = "product" if run.hyper.factorised else "joint"
     return {
+        "her_filter": run.hyper.her_filter,
         "estimate": "measured" if group.settings.masked_evaluation_episodes else estimate,
         "alone": len(group.runs) == 1,
         "leave_at": group.settings.leave_at,

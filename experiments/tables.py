@@ -20,6 +20,7 @@ ESTIMATES = {"product": "CGM", "joint": "CGM, joint rates", "measured": "CGM, ma
 class Setting(NamedTuple):
     """What the seeds of a line, or of a row of a table, have in common.
 
+    `her_filter` is whether hindsight comes only from episodes that moved the achieved goal.
     Without CGM, c_g and kappa are None; so is c_g where masks are drawn uniformly (kappa = 0).
     `estimate` is how the curriculum knows the success of masks: as the product of sub-goal rates
     (the paper), by joint rates, or measured.
@@ -27,10 +28,18 @@ class Setting(NamedTuple):
 
     env: str
     her: bool
+    her_filter: bool
     cgm: bool
     c_g: float | None
     kappa: float | None
     estimate: str
+
+    @property
+    def algorithm(self) -> str:
+        """What learns, in words."""
+        if not self.her:
+            return "DDPG"
+        return "DDPG + HER" if self.her_filter else "DDPG + HER (from all episodes)"
 
     @property
     def curriculum(self) -> str:
@@ -47,7 +56,8 @@ def setting_of(row: Row) -> Setting:
     c_g = row["c_g"] if row["cgm"] and row["kappa"] else None
     kappa = row["kappa"] if row["cgm"] else None
     estimate = "product" if c_g is None else row["estimate"]
-    return Setting(row["env"], row["her"], row["cgm"], c_g, kappa, estimate)
+    her_filter = row["her"] and row["her_filter"]
+    return Setting(row["env"], row["her"], her_filter, row["cgm"], c_g, kappa, estimate)
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
@@ -153,11 +163,8 @@ def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
     settings = runs_by_setting(rows)
     table = []
     for one, other in itertools.product(settings, repeat=2):
-        if (
-            (one.env, one.her) != (other.env, other.her)
-            or _is_baseline(one)
-            or not _is_baseline(other)
-        ):
+        alike = (one.env, one.algorithm) == (other.env, other.algorithm)
+        if not alike or _is_baseline(one) or not _is_baseline(other):
             continue
         pair = [list(settings[key].values()) for key in (one, other)]
         if min(map(len, pair)) < 2:
@@ -176,7 +183,7 @@ def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
         table.append(
             {
                 "env": one.env,
-                "her": one.her,
+                "algorithm": one.algorithm,
                 "setting": one.curriculum,
                 "baseline": other.curriculum,
                 "env_steps": common,

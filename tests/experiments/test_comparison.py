@@ -17,7 +17,7 @@ CURRICULA: list[dict[str, Any]] = [
 def test_every_algorithm_has_a_line_that_looks_like_no_other() -> None:
     rows = []
     for number, (her, curriculum) in enumerate(itertools.product((False, True), CURRICULA)):
-        fixed = {"env": "push", "her": her, **curriculum, "c_g": 0.1, "seed": 0}
+        fixed = {"env": "push", "her": her, "her_filter": True, **curriculum, "c_g": 0.1, "seed": 0}
         fixed |= {"sweep": "one", "run": str(number)}
         rates = enumerate((0.1, 0.1 * number), start=1)
         rows += [{**fixed, "env_steps": 1000 * i, "success_rate": rate} for i, rate in rates]

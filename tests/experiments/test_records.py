@@ -45,7 +45,8 @@ def test_rows_of_runs_that_are_done_come_back_as_they_were(tmp_path: Path) -> No
     rounded = [1.0, 0.123, None]
     for row, original in zip(rows, originals, strict=True):
         rates = {name: rounded for name, value in original.items() if isinstance(value, list)}
-        facts = {"sweep": "mine", "estimate": "product", "alone": True, "leave_at": None}
+        facts = {"sweep": "mine", "her_filter": False, "estimate": "product"}
+        facts |= {"alone": True, "leave_at": None}
         assert row == {**facts, **original, **rates}
         assert {name: type(value) for name, value in row.items() if name in original} == {
             name: type(value) for name, value in original.items()

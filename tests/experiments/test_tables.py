@@ -20,7 +20,13 @@ BASELINES: list[dict[str, Any]] = [
 def run(seed: int, rates: list[float | None], *, cgm: bool = True) -> list[dict[str, Any]]:
     """Rows of one run: an evaluation every 1,000 env_steps and 2 seconds."""
     fixed = {"env": "push", "her": True, "cgm": cgm, "c_g": 0.1, "kappa": 32.0, "seed": seed}
-    fixed |= {"estimate": "product", "sweep": "one", "run": f"{cgm}{seed}", "alone": True}
+    fixed |= {
+        "her_filter": True,
+        "estimate": "product",
+        "sweep": "one",
+        "run": f"{cgm}{seed}",
+        "alone": True,
+    }
     fixed |= {"leave_at": None}
     return [
         {**fixed, "env_steps": 1000 * i, "wall_s": 2.0 * i, "success_rate": rate}
@@ -94,6 +100,13 @@ def test_uniform_masks_are_one_setting_whatever_c_g_they_carry() -> None:
     row = run(0, [0.5])[0]
     one, other = ({**row, "kappa": 0.0, "c_g": c_g} for c_g in (0.1, 0.8))
     assert setting_of(one) == setting_of(other) != setting_of(row)
+
+
+def test_hindsight_from_all_episodes_is_another_algorithm_unless_there_is_none() -> None:
+    row = run(0, [0.5])[0]
+    one, other = ({**row, "her_filter": her_filter} for her_filter in (True, False))
+    assert setting_of(one).algorithm != setting_of(other).algorithm
+    assert setting_of({**one, "her": False}) == setting_of({**other, "her": False})
 
 
 def test_one_seed_proves_nothing() -> None:
