@@ -158,9 +158,9 @@ def improvement(rows: Sequence[Row], resamples: int = 10_000) -> list[Row]:
 
     Baselines: no masks, masks drawn uniformly, and masks whose success is known otherwise than
     as a product. Runs are compared by the area under their learning curve, as far as all of
-    them got.
+    them got; runs that may leave early are left out.
     """
-    settings = runs_by_setting(rows)
+    settings = runs_by_setting([row for row in rows if row["leave_at"] is None])
     table = []
     for one, other in itertools.product(settings, repeat=2):
         alike = (one.env, one.algorithm) == (other.env, other.algorithm)

@@ -109,5 +109,11 @@ def test_hindsight_from_all_episodes_is_another_algorithm_unless_there_is_none()
     assert setting_of({**one, "her": False}) == setting_of({**other, "her": False})
 
 
+def test_runs_that_may_leave_early_have_no_area_to_compare() -> None:
+    rows = run(0, [0.5]) + run(1, [0.5]) + run(0, [0.1], cgm=False) + run(1, [0.1], cgm=False)
+    assert len(improvement(rows, resamples=200)) == 1
+    assert improvement([{**row, "leave_at": 0.5} for row in rows], resamples=200) == []
+
+
 def test_one_seed_proves_nothing() -> None:
     assert improvement(run(0, [0.5]) + run(0, [0.1], cgm=False)) == []
