@@ -24,7 +24,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
     """
     settings = runs_by_setting(rows)
     tasks = sorted({setting.env for setting in settings})
-    figure, axes = make_panels(len(tasks), width=6.0, height=4.2)
+    figure, axes = make_panels(len(tasks), width=6.0, height=4.8)
     for panel, task in zip(axes, tasks, strict=True):
         for setting, seeds in settings.items():
             if setting.env != task:
@@ -39,7 +39,7 @@ def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
         label_steps(panel)
         label_success(panel, "success rate, full goal")
-        panel.legend(fontsize=8, loc="upper left", framealpha=0.7)
+        panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), frameon=False)
     return figure
 
 

@@ -85,14 +85,17 @@ def test_improvement_compares_as_far_as_all_runs_got() -> None:
     assert (entry["env_steps"], entry["seeds"], entry["baseline_seeds"]) == (1000, 2, 2)
 
 
-def test_baselines_are_compared_with_and_not_among_themselves() -> None:
+def test_all_masks_are_compared_with_none_and_the_papers_with_the_others() -> None:
     rows = run(0, [0.5]) + run(1, [0.5])
     others = [{**row, **change, "run": str(change)} for row in rows for change in BASELINES]
     table = improvement(rows + others, resamples=200)
-    assert [entry["baseline"] for entry in table] == [
-        *("no CGM", "uniform masks"),
-        *("CGM, joint rates (10 %, 32)", "CGM, masks measured (10 %, 32)"),
-    ]
+    names = "uniform masks", "CGM, joint rates (10 %, 32)", "CGM, masks measured (10 %, 32)"
+    assert {(entry["setting"], entry["baseline"]) for entry in table} == {
+        ("CGM (10 %, 32)", "no CGM"),
+        *(("CGM (10 %, 32)", name) for name in names),
+        *((name, "no CGM") for name in names),
+    }
+    assert len(table) == 7
     assert all(entry["probability_of_improvement"] == 0.5 for entry in table)
 
 
