@@ -12,15 +12,12 @@ from brax.training.acme.running_statistics import NestedMeanStd
 from cgm_jax.arrays import read_arrays
 from cgm_jax.ddpg import Parameters
 from cgm_jax.networks import Actor
-from cgm_jax.normaliser import (
-    GREATEST_NORMALISED_VALUE,
-    GREATEST_RAW_VALUE,
-    Normaliser,
-    network_input,
-)
+from cgm_jax.normaliser import Normaliser, network_input
 
 GREATEST_POLICY_BYTES = 2**30
-LIMITS = {"raw_limit": GREATEST_RAW_VALUE, "normalised_limit": GREATEST_NORMALISED_VALUE}
+
+FORMAT = 2
+"""Of policy files. Format 1 had no such entry, and clipped raw values to +-`raw_limit`."""
 
 
 def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.ndarray]:
@@ -32,10 +29,10 @@ def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.nda
 
     Returns:
         `layer_<i>_kernel` [in, out] and `layer_<i>_bias` [out]; `observation_mean`,
-        `observation_std`, `goal_mean`, `goal_std`; and the scalars `raw_limit`,
-        `normalised_limit` to which inputs are clipped before and after normalisation.
+        `observation_std`, `goal_mean`, `goal_std`; the scalar `normalised_limit` to which
+        normalised inputs are clipped; and `format`.
     """
-    arrays: dict[str, Any] = dict(LIMITS)
+    arrays: dict[str, Any] = {"format": FORMAT, "normalised_limit": statistics.limit}
     for layer, parameters in actor["params"].items():
         for name, value in parameters.items():
             arrays[f"{layer}_{name}"] = value
@@ -60,10 +57,12 @@ def load_policy(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    if float(arrays.get("format", np.array(1.0))) not in (1, FORMAT):
+        raise ValueError(f"{path}: a policy file of a newer format, {arrays['format']}")
     layers = max(1, sum(name.endswith("_kernel") for name in arrays))
     needed = {f"layer_{i}_{part}" for i in range(layers) for part in ("kernel", "bias")}
     needed |= {f"{kind}_{part}" for kind in ("observation", "goal") for part in ("mean", "std")}
-    needed |= set(LIMITS)
+    needed |= {"normalised_limit"}
     if missing := sorted(needed - set(arrays)):
         raise ValueError(f"{path}: not a policy file, it lacks {', '.join(missing)}")
     for name in sorted(needed):
@@ -98,7 +97,11 @@ def act(
     statistics = Normaliser(
         observation=_mean_std(arrays, "observation"),  # pyright: ignore[reportArgumentType]
         goal=_mean_std(arrays, "goal"),  # pyright: ignore[reportArgumentType]
+        limit=jnp.asarray(arrays["normalised_limit"]),
     )
+    if "raw_limit" in arrays:  # of format 1
+        raw_limit = arrays["raw_limit"]
+        observation, goal = (jnp.clip(x, -raw_limit, raw_limit) for x in (observation, goal))
     inputs = network_input(statistics, observation, goal)
     actor = Actor(tuple(widths[:-1]), widths[-1])
     return actor.apply({"params": parameters}, inputs)  # pyright: ignore[reportReturnType]

@@ -68,7 +68,8 @@ def sample_transitions(
     episode_length = episodes.action.shape[1]
     uniform = jax.random.uniform(key, (4, count))
     relabel = uniform[3] < her_probability
-    eligible = _moved(replay, LEAST_MOTION * distance_threshold) & her_filter
+    moved = moved_goal(episodes.achieved_goal, distance_threshold)
+    eligible = moved & (jnp.arange(len(moved)) < size(replay)) & her_filter
     episode = jnp.where(
         relabel & eligible.any(),
         _drawn_among(eligible, uniform[0]),
@@ -92,11 +93,10 @@ def sample_transitions(
     )
 
 
-def _moved(replay: Replay, distance: float) -> jax.Array:
-    """Whether the achieved goal of each episode in the ring [C] strayed from where it began."""
-    goals = replay.episodes.achieved_goal
-    strayed = jnp.linalg.norm(goals[:, 1:] - goals[:, :1], axis=-1).max(axis=1) > distance
-    return strayed & (jnp.arange(len(strayed)) < size(replay))
+def moved_goal(achieved_goal: jax.Array, distance_threshold: float) -> jax.Array:
+    """Whether episodes moved their achieved goal [E, T + 1, n], [E] bool; see `LEAST_MOTION`."""
+    strayed = jnp.linalg.norm(achieved_goal[:, 1:] - achieved_goal[:, :1], axis=-1).max(axis=1)
+    return strayed > LEAST_MOTION * distance_threshold
 
 
 def _drawn_among(eligible: jax.Array, uniform: jax.Array) -> jax.Array:

@@ -32,7 +32,7 @@ from cgm_jax.masking import (
     success_rates,
 )
 from cgm_jax.normaliser import initial_normaliser, network_input, observe
-from cgm_jax.relabelling import sample_transitions
+from cgm_jax.relabelling import moved_goal, sample_transitions
 from cgm_jax.replay import empty_replay, insert
 from cgm_jax.rollout import Policy, roll_out
 from cgm_jax.settings import Hyperparameters, SettingError, Settings
@@ -90,7 +90,12 @@ class Trainer:
         return TrainingState(
             key=key,
             agent=self.ddpg.initial_agent(agent_key),
-            normaliser=initial_normaliser(observation_size, goal_size),
+            normaliser=initial_normaliser(
+                observation_size,
+                goal_size,
+                limit=hyper.normaliser_limit,
+                distance_threshold=self.env.distance_threshold,
+            ),
             replay=empty_replay(
                 max(self.settings.replay_transitions // length, self.settings.environments),
                 length,
@@ -132,18 +137,26 @@ class Trainer:
             masks,
             draw_exploration(noise_key, shape, hyper),
         )
+        moved = moved_goal(rollout.episodes.achieved_goal, self.env.distance_threshold)
         statistics = state.statistics
         statistics = statistics.replace(
             mask_episodes=statistics.mask_episodes.at[drawn].add(rollout.valid),
             mask_successes=statistics.mask_successes.at[drawn].add(
                 rollout.valid & rollout.masked_success
             ),
+            moved_episodes=statistics.moved_episodes + jnp.sum(rollout.valid & moved),
             physics_warnings=statistics.physics_warnings + jnp.sum(~rollout.valid),
         )
         state = state.replace(
             key=key,
             replay=insert(state.replay, rollout.episodes, rollout.valid),
-            normaliser=observe(state.normaliser, rollout.episodes, rollout.valid),
+            normaliser=observe(
+                state.normaliser,
+                rollout.episodes,
+                rollout.valid,
+                floor=hyper.normaliser_floor,
+                distance_threshold=self.env.distance_threshold,
+            ),
             statistics=statistics,
             env_steps=state.env_steps + self.settings.environments * self.env.episode_length,
         )
@@ -194,6 +207,8 @@ class Trainer:
             "mask_rate_estimated": rates,
             "mask_rate_training": statistics.mask_successes / statistics.mask_episodes,
             "mask_probability": probabilities,
+            "mask_share": statistics.mask_episodes / statistics.mask_episodes.sum(),
+            "moved_share": statistics.moved_episodes / statistics.mask_episodes.sum(),
             "physics_warnings": statistics.physics_warnings + jnp.sum(~valid) + broken,
             "failure": state.failure,
             **{name: total / statistics.updates for name, total in statistics.losses.items()},

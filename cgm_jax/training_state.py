@@ -40,6 +40,7 @@ class EpochStatistics(struct.PyTreeNode):
     Attributes:
         mask_episodes: training episodes per mask, [2^n].
         mask_successes: those that achieved their masked goal, [2^n].
+        moved_episodes: those that moved their achieved goal (`relabelling.moved_goal`), scalar.
         physics_warnings: episodes dropped, scalar.
         losses: sums of the scalars that `DDPG.update` returns.
         updates: how many updates of both networks they are sums of, scalar.
@@ -47,6 +48,7 @@ class EpochStatistics(struct.PyTreeNode):
 
     mask_episodes: jax.Array
     mask_successes: jax.Array
+    moved_episodes: jax.Array
     physics_warnings: jax.Array
     losses: dict[str, jax.Array]
     updates: jax.Array
@@ -85,6 +87,7 @@ def empty_statistics(masks: int) -> EpochStatistics:
     return EpochStatistics(
         mask_episodes=jnp.zeros(masks),
         mask_successes=jnp.zeros(masks),
+        moved_episodes=jnp.zeros(()),
         physics_warnings=jnp.zeros(()),
         losses={name: jnp.zeros(()) for name in LOSSES},
         updates=jnp.zeros(()),

@@ -33,7 +33,7 @@ def reaching_policy(gain: float) -> dict[str, np.ndarray]:
     arrays = {"layer_0_kernel": kernel, "layer_0_bias": np.zeros(4)}
     for name, size in (("observation", 10), ("goal", 3)):
         arrays |= {f"{name}_mean": np.zeros(size), f"{name}_std": np.ones(size)}
-    arrays |= {"raw_limit": np.array(200.0), "normalised_limit": np.array(5.0)}
+    arrays |= {"normalised_limit": np.array(5.0)}
     return {name: array.astype(np.float32) for name, array in arrays.items()}
 
 

@@ -2,9 +2,23 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from cgm_jax.normaliser import initial_normaliser, network_input, observe
+from cgm_jax import normaliser as module
+from cgm_jax.normaliser import Normaliser, network_input
 from cgm_jax.replay import Episodes
+
+THRESHOLD = 0.05
+
+
+def initial_normaliser(observation_size: int, goal_size: int) -> Normaliser:
+    return module.initial_normaliser(
+        observation_size, goal_size, limit=5.0, distance_threshold=THRESHOLD
+    )
+
+
+def observe(normaliser: Normaliser, episodes: Episodes, valid: Any) -> Normaliser:
+    return module.observe(normaliser, episodes, valid, floor=0.2, distance_threshold=THRESHOLD)
 
 
 def episodes(generator: np.random.Generator, count: int) -> Episodes:
@@ -70,8 +84,38 @@ def test_a_batch_of_only_dropped_episodes_changes_nothing() -> None:
 
 def test_a_constant_entry_is_divided_by_the_floor() -> None:
     batch = episodes(np.random.default_rng(3), 4)
-    batch = batch.replace(observation=jnp.full_like(batch.observation, 7.0))
+    batch = batch.replace(observation=batch.observation.at[..., 0].set(7.0))
     normaliser: Any = observe(initial_normaliser(2, 1), batch, jnp.ones(4, bool))
-    np.testing.assert_allclose(normaliser.observation.std, 0.01)
+    np.testing.assert_allclose(normaliser.observation.std[0], 0.01)  # 0.2 of the threshold
     inputs = network_input(normaliser, jnp.array([7.02, 300.0]), jnp.zeros(1))
     np.testing.assert_allclose(inputs[:2], [2.0, 5.0], rtol=1e-3)
+
+
+def test_the_floor_gives_way_where_observations_have_a_smaller_unit_than_goals() -> None:
+    batch = episodes(np.random.default_rng(4), 40)
+    small = 1e-5 * batch.observation.at[..., 1].divide(8.0)
+    normaliser: Any = observe(
+        initial_normaliser(2, 1), batch.replace(observation=small), jnp.ones(40, bool)
+    )
+    first, second = np.asarray(small[..., 0]).std(), np.asarray(small[..., 1]).std()
+    assert second < first < 0.01
+    np.testing.assert_allclose(normaliser.observation.std, [first, first], rtol=1e-4)
+
+
+@pytest.mark.parametrize("origin", [500.0, -3e5])
+def test_statistics_far_from_the_origin_are_those_of_float64(origin: float) -> None:
+    generator = np.random.default_rng(5)
+    normaliser: Any = initial_normaliser(2, 1)
+    batches = []
+    for _ in range(3):
+        batch = episodes(generator, 8)
+        batch = batch.replace(observation=batch.observation + origin)
+        # Before the first row that counts nothing may decide where the sums start.
+        batch = batch.replace(observation=batch.observation.at[0].set(jnp.nan))
+        batches.append(batch)
+        normaliser = observe(normaliser, batch, jnp.arange(8) > 0)
+    rows = np.concatenate([np.asarray(b.observation[1:], float).reshape(-1, 2) for b in batches])
+    np.testing.assert_allclose(normaliser.observation.std, rows.std(0), rtol=1e-3)
+    np.testing.assert_allclose(
+        normaliser.observation.mean - origin, rows.mean(0) - origin, atol=0.05
+    )

@@ -34,7 +34,7 @@ def test_a_policy_file_acts_as_the_trained_actor_does_in_jax_and_in_ten_lines_of
 
     generator = np.random.default_rng(0)
     observation = generator.uniform(-2, 2, (20, 4)).astype(np.float32)
-    observation[0] = 1e4  # both limits are at work
+    observation[0] = 1e4  # the limit is at work
     goal = generator.uniform(-1, 1, (20, 2)).astype(np.float32)
     inputs = network_input(state.normaliser, jnp.asarray(observation), jnp.asarray(goal))
     expected = np.asarray(trainer.ddpg.act(state.agent.actor, inputs))
@@ -66,7 +66,6 @@ GOOD = {
         for kind, n in (("observation", 2), ("goal", 1))
         for part in ("mean", "std")
     },
-    "raw_limit": np.array(200.0),
     "normalised_limit": np.array(5.0),
 }
 BAD = {
@@ -88,6 +87,23 @@ def test_a_malformed_policy_is_refused_with_its_reason(complaint: str, tmp_path:
     }
     np.savez(path, **arrays)  # pyright: ignore
     with pytest.raises(ValueError, match=complaint):
+        load_policy(path)
+
+
+def test_a_policy_of_the_first_format_is_read_and_its_raw_values_clipped(tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    kernel = np.array([[0.001], [0.0], [0.0]])
+    old = {**GOOD, "layer_0_kernel": kernel, "layer_0_bias": np.zeros(1)}
+    old = {name: value for name, value in old.items() if not name.startswith("layer_1")}
+    np.savez(path, **old, raw_limit=np.array(3.0))  # pyright: ignore
+    action = act(load_policy(path), jnp.array([[9.0, 0.0]]), jnp.zeros((1, 1)))
+    np.testing.assert_allclose(action, np.tanh([[0.001 * (3.0 - 1.0)]]), rtol=1e-5)
+
+
+def test_a_policy_of_a_newer_format_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    np.savez(path, **GOOD, format=np.array(99))  # pyright: ignore
+    with pytest.raises(ValueError, match="newer format, 99"):
         load_policy(path)
 
 

@@ -63,6 +63,56 @@ def test_the_same_seed_repeats_bit_for_bit_and_another_differs() -> None:
         assert any((leaf[0] != leaf[2]).any() for leaf in bits(part))
 
 
+@dataclasses.dataclass(frozen=True)
+class Rescaled(PointMass):
+    """The point mass in another unit, and around another origin."""
+
+    unit: float = 1.0
+    origin: float = 0.0
+    distance_threshold: float = 0.1
+
+    def reset(self, rng: jax.Array) -> Any:
+        position, goal = jax.random.uniform(rng, (2, 2), minval=-1.0, maxval=1.0)
+        position, goal = (self.origin + self.unit * place for place in (position, goal))
+        return self._state(position, jnp.zeros(2), goal)
+
+    def step(self, state: Any, action: jax.Array) -> Any:
+        position, velocity = jnp.split(state.obs["observation"], 2)
+        velocity = 0.7 * velocity + 0.5 * self.unit * action
+        return self._state(position + 0.1 * velocity, velocity, state.obs["desired_goal"])
+
+
+@pytest.mark.parametrize("unit", [2.0**10, 2.0**-17])
+def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float) -> None:
+    # Powers of two, so that float32 scales exactly: about millimetres, and about 1e-5.
+    _, expected = epochs([Hyperparameters(seed=5)], trainer=Trainer(Rescaled(), TINY))
+    env = Rescaled(unit=unit, distance_threshold=0.1 * unit)
+    _, metrics = epochs([Hyperparameters(seed=5)], trainer=Trainer(env, TINY))
+    for one, other in zip(metrics, expected, strict=True):
+        for name in ("success_rate", "subgoal_success", "critic_loss", "actor_loss", "value"):
+            np.testing.assert_array_equal(one[name], other[name], name)
+
+
+def test_a_task_far_from_the_origin_trains_alike() -> None:
+    # Float32 resolves 3e-5 there, so alike only as far as rounding lets trajectories agree.
+    _, expected = epochs([Hyperparameters(seed=5)], 1, trainer=Trainer(Rescaled(), TINY))
+    env = Rescaled(origin=500.0)
+    state, metrics = epochs([Hyperparameters(seed=5)], 1, trainer=Trainer(env, TINY))
+    np.testing.assert_allclose(metrics[0]["critic_loss"], expected[0]["critic_loss"], rtol=0.05)
+    spread = np.asarray(state.replay.episodes.desired_goal[0, :16]).std(0)
+    statistics: Any = state.normaliser.goal
+    assert (np.asarray(statistics.std[0]) < 3 * spread).all()
+
+
+def test_metrics_count_the_episodes_that_moved_and_those_per_mask() -> None:
+    _, metrics = epochs([Hyperparameters(seed=1), Hyperparameters(seed=1, cgm=False)], 1)
+    np.testing.assert_allclose(metrics[0]["mask_share"].sum(1), 1.0)
+    np.testing.assert_array_equal(metrics[0]["mask_share"][1], [0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(metrics[0]["moved_share"], 1.0)  # a force always moves the point
+    _, still = epochs([Hyperparameters()], 1, Trainer(Rescaled(unit=0.0), TINY))
+    np.testing.assert_array_equal(still[0]["moved_share"], 0.0)
+
+
 def test_a_run_among_others_equals_the_run_alone() -> None:
     runs = [
         Hyperparameters(seed=0, c_g=0.8, kappa=1.0),
@@ -97,6 +147,8 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
         "action_noise": 0.0,
         "random_action_probability": 0.9,
         "random_action_steps": 7,
+        "normaliser_floor": 20.0,
+        "normaliser_limit": 0.5,
         "seed": 1,
     }
     later = {"her_filter", "factorised"}  # no effect within this short run: tested below
