@@ -62,7 +62,7 @@ def observe(
     episodes: Episodes,
     valid: jax.Array,
     *,
-    floor: ArrayLike,
+    floor: float,
     distance_threshold: float,
 ) -> Normaliser:
     """Take in new episodes.
@@ -104,8 +104,8 @@ def _update(
     statistics: RunningStatisticsState,
     rows: jax.Array,
     valid: jax.Array,
-    floor: ArrayLike,
-    far: ArrayLike,
+    floor: float,
+    far: float,
 ) -> RunningStatisticsState:
     """Update with rows [episodes, steps, size] of the valid episodes [episodes]."""
     usable = jnp.broadcast_to(valid[:, None], rows.shape[:2]) & jnp.isfinite(rows).all(axis=-1)
@@ -126,7 +126,7 @@ def _update(
 
 
 def _origin(
-    statistics: RunningStatisticsState, rows: jax.Array, usable: jax.Array, far: ArrayLike
+    statistics: RunningStatisticsState, rows: jax.Array, usable: jax.Array, far: float
 ) -> jax.Array:
     """Where the sums start: at 0, or at the first row where the data lie far from 0.
 
@@ -137,7 +137,7 @@ def _origin(
     return jnp.where(nothing_seen & usable.any() & (jnp.abs(first) > far), first, statistics.mean)
 
 
-def _floored(statistics: RunningStatisticsState, floor: ArrayLike) -> jax.Array:
+def _floored(statistics: RunningStatisticsState, floor: float) -> jax.Array:
     """Standard deviations [size] by which to divide.
 
     At least `floor`, unless even the entry that varies most varies less: observations may have a
@@ -145,5 +145,5 @@ def _floored(statistics: RunningStatisticsState, floor: ArrayLike) -> jax.Array:
     """
     std: jax.Array = statistics.std  # pyright: ignore[reportAssignmentType]
     most = std.max()
-    floor = jnp.where(most > 0.0, jnp.minimum(floor, most), floor)
-    return jnp.maximum(jnp.maximum(std, floor), PRECISION * jnp.abs(statistics.mean))
+    least = jnp.where(most > 0.0, jnp.minimum(floor, most), floor)
+    return jnp.maximum(jnp.maximum(std, least), PRECISION * jnp.abs(statistics.mean))

@@ -42,10 +42,6 @@ class Hyperparameters:
     critic_learning_rate: float = _setting(1e-3, "Adam step size of the critic", 0)
     discount: float = _setting(0.98, "discount factor gamma", 0, 0.9999)
     target_rate: float = _setting(0.05, "how far targets move towards the networks", 0, 1)
-    normaliser_floor: float = _setting(
-        0.2, "least standard deviation of inputs, in distance thresholds", 0, 1e6
-    )
-    normaliser_limit: float = _setting(5.0, "normalised inputs are clipped to +-this", 0, 1e6)
     action_penalty: float = _setting(1.0, "weight of mean squared action in the actor loss", 0)
     action_noise: float = _setting(0.2, "standard deviation of exploration noise", 0)
     random_action_probability: float = _setting(0.3, "chance of a uniform action", 0, 1)
@@ -74,6 +70,10 @@ class Settings:
     batch_size: int = _setting(1024, "transitions per update", 1, 10**7)
     target_update_every: int = _setting(40, "updates between moves of the targets", 1, 10**9)
     hidden_layers: tuple[int, ...] = _setting((256, 256, 256), "widths of hidden layers", 1, 10**5)
+    normaliser_floor: float = _setting(
+        0.2, "least standard deviation of inputs, in distance thresholds", 0, 1e6
+    )
+    normaliser_limit: float = _setting(5.0, "normalised inputs are clipped to +-this", 0, 1e6)
     replay_transitions: int = _setting(1_000_000, "capacity of the replay buffer", 1, 10**10)
     evaluate_target: bool = _setting(False, "evaluate and export the target actor")
     evaluation_episodes: int = _setting(20, "noise-free full-goal episodes per epoch", 1, 10**6)

@@ -93,7 +93,7 @@ class Trainer:
             normaliser=initial_normaliser(
                 observation_size,
                 goal_size,
-                limit=hyper.normaliser_limit,
+                limit=self.settings.normaliser_limit,
                 distance_threshold=self.env.distance_threshold,
             ),
             replay=empty_replay(
@@ -154,7 +154,7 @@ class Trainer:
                 state.normaliser,
                 rollout.episodes,
                 rollout.valid,
-                floor=hyper.normaliser_floor,
+                floor=self.settings.normaliser_floor,
                 distance_threshold=self.env.distance_threshold,
             ),
             statistics=statistics,

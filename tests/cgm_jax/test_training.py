@@ -147,8 +147,6 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
         "action_noise": 0.0,
         "random_action_probability": 0.9,
         "random_action_steps": 7,
-        "normaliser_floor": 20.0,
-        "normaliser_limit": 0.5,
         "seed": 1,
     }
     later = {"her_filter", "factorised"}  # no effect within this short run: tested below
