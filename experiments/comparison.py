@@ -5,7 +5,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from cgm_jax.report.figures import (
+from cgm_jax.results.figures import (
     curves_of,
     draw_quartiles,
     label_steps,

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import envs
-from envs.fetch import FetchEnvironment
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
 
 ENTRIES = [
     *(f"grip_{axis}" for axis in "xyz"),

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cgm_jax.grid import Group, Run
-from cgm_jax.host.run_directory import CONFIG, RunDirectory
-from cgm_jax.settings import Settings
-from cgm_jax.statistics import holds
+from cgm_jax.config.grid import Group, Run
+from cgm_jax.config.settings import Settings
+from cgm_jax.results.statistics import holds
+from cgm_jax.storage.run_directory import CONFIG, RunDirectory
 from experiments.tables import Row, write_table
 
 SWEEPS = Path(__file__).parent / "results" / "sweeps"

@@ -15,11 +15,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from cgm_jax.grid import Group, Run, build_groups
+from cgm_jax.config.grid import Group, Run, build_groups
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import chosen_values, parse, seed_values
-from cgm_jax.host.run_directory import RunDirectory
-from cgm_jax.report.figures import epochs_to_half, learning_curves, mask_success
-from cgm_jax.settings import Settings
+from cgm_jax.results.figures import epochs_to_half, learning_curves, mask_success
+from cgm_jax.storage.run_directory import RunDirectory
 from cgm_jax.sweep import SweepOptions
 from experiments.comparison import comparison
 from experiments.records import record, recorded_groups, recorded_rows

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from cgm_jax.statistics import HOLDING_EVALUATIONS, first_to_reach, quartiles
+from cgm_jax.results.statistics import HOLDING_EVALUATIONS, first_to_reach, quartiles
 
 Row = dict[str, Any]
 LEVELS = (0.5, 0.9)

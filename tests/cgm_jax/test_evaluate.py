@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cgm_jax.environments import make_environment
+from cgm_jax.config.grid import Group, Run
+from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
-from cgm_jax.grid import Group, Run
-from cgm_jax.host.run_directory import RunDirectory
-from cgm_jax.report.evaluation import Film, Outcome, Plan, evaluate_directory, evaluate_random
-from cgm_jax.report.video import write_video
-from cgm_jax.settings import Hyperparameters, SettingError, Settings
-from envs.fetch import FetchEnvironment
+from cgm_jax.loop.environment import make_environment
+from cgm_jax.results.policies import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.results.video import write_video
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
 
 REACH = Settings(env="reach", engine="native")

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from cgm_jax.grid import build_groups, split
-from cgm_jax.host.run_directory import CONFIG, METRICS, RunDirectory
+from cgm_jax.config.grid import build_groups, split
+from cgm_jax.storage.run_directory import CONFIG, METRICS, RunDirectory
 from experiments import records
 
 RATES: list[float | None] = [1.0, 0.12345, None]
