@@ -141,8 +141,8 @@ def test_60_generated_command_lines(
         assert text.startswith("error: ")
         assert text.count("\n") == 1
         given = [*names, *(word for word in arguments if not word.startswith("--"))]
-        message = text.replace("-", "_")
-        shown = [" ".join(word.replace("-", "_").split()) for word in given]  # on one line
+        # Long words are wrapped, and line ends in words become spaces.
+        message, *shown = ("".join(word.replace("-", "_").split()) for word in (text, *given))
         assert any(word in message for word in shown if word), (arguments, text)
     assert 2 < valid < 58
 
