@@ -20,8 +20,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, build_groups
-from cgm_jax.config.settings import SettingError
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.startup import prepare_jax
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.results.statistics import wilson_interval

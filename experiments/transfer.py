@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
 
 EXPERIMENTS = Path(__file__).resolve().parent

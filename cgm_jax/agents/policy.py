@@ -9,28 +9,32 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
-from cgm_jax.agents.ddpg import Parameters
-from cgm_jax.agents.networks import Actor
+from cgm_jax.agents.networks import Parameters, apply_actor
 from cgm_jax.agents.normaliser import Normaliser, network_input
 from cgm_jax.storage.arrays import read_arrays
 
-GREATEST_POLICY_BYTES = 2**30
+MAX_POLICY_BYTES = 2**30
 
 FORMAT = 2
 """Of policy files. Format 1 had no such entry, and clipped raw values to +-`raw_limit`."""
 
 
-def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.ndarray]:
+def policy_arrays(
+    actor: Parameters, statistics: Normaliser, *, mask_input: bool = False
+) -> dict[str, np.ndarray]:
     """All arrays that the deterministic actor of one run needs.
 
     Args:
         actor: its parameters, `Agent.actor`.
         statistics: its normaliser.
+        mask_input: whether it sees which goal dimensions are masked.
 
     Returns:
         `layer_<i>_kernel` [in, out] and `layer_<i>_bias` [out]; `observation_mean`,
         `observation_std`, `goal_mean`, `goal_std`; the scalar `normalised_limit` to which
-        normalised inputs are clipped; and `format`.
+        normalised inputs are clipped; and `format`. Whatever else the networks see is 0 for the
+        full goal, and left out; but `mask_weights` [n, out] of the first layer, with
+        `mask_input`, serve masked goals.
     """
     arrays: dict[str, Any] = {"format": FORMAT, "normalised_limit": statistics.limit}
     for layer, parameters in actor["params"].items():
@@ -39,6 +43,12 @@ def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.nda
     for kind in ("observation", "goal"):
         running = getattr(statistics, kind)
         arrays[f"{kind}_mean"], arrays[f"{kind}_std"] = running.mean, running.std
+    goal = arrays["goal_mean"].shape[-1]
+    seen = arrays["observation_mean"].shape[-1] + goal
+    whole = arrays["layer_0_kernel"]
+    arrays["layer_0_kernel"] = whole[:seen]
+    if mask_input:
+        arrays["mask_weights"] = whole[seen : seen + goal]
     return {name: np.asarray(value, np.float32) for name, value in arrays.items()}
 
 
@@ -49,7 +59,7 @@ def load_policy(path: Path) -> dict[str, np.ndarray]:
         ValueError: the file is no policy: unreadable, or arrays missing or not numbers.
     """
     try:
-        arrays = read_arrays(path, GREATEST_POLICY_BYTES)
+        arrays = read_arrays(path, MAX_POLICY_BYTES)
     except ValueError as error:
         raise ValueError(f"not a readable policy file: {error}") from None
     _check_arrays(path, arrays)
@@ -69,6 +79,9 @@ def _check_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         if not np.issubdtype(arrays[name].dtype, np.floating):
             raise ValueError(f"{path}: not a policy file, {name} holds no real numbers")
     width = arrays["observation_mean"].size + arrays["goal_mean"].size
+    shown = (arrays["goal_mean"].size, arrays["layer_0_bias"].size)
+    if "mask_weights" in arrays and arrays["mask_weights"].shape != shown:
+        raise ValueError(f"{path}: not a policy file, mask_weights do not have shape {shown}")
     for i in range(layers):
         kernel, bias = arrays[f"layer_{i}_kernel"], arrays[f"layer_{i}_bias"]
         if bias.ndim != 1 or kernel.shape != (width, bias.size):
@@ -77,14 +90,18 @@ def _check_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def act(
-    arrays: Mapping[str, jax.Array | np.ndarray], observation: jax.Array, goal: jax.Array
+    arrays: Mapping[str, jax.Array | np.ndarray],
+    observation: jax.Array,
+    goal: jax.Array,
+    mask: jax.Array | np.ndarray | None = None,
 ) -> jax.Array:
     """The deterministic action [..., a] of a policy file's arrays, in JAX.
 
     Args:
         arrays: as `load_policy` returns them.
         observation: [..., observation_size].
-        goal: [..., n], the desired goal.
+        goal: [..., n], the desired goal, masked if a mask is given.
+        mask: of all the goals, [n]; None for the full goal.
     """
     layers = sum(name.endswith("_kernel") for name in arrays)
     parameters = {
@@ -93,7 +110,8 @@ def act(
         }
         for i in range(layers)
     }
-    widths = [parameters[f"layer_{i}"]["bias"].shape[-1] for i in range(layers)]
+    if mask is not None and "mask_weights" in arrays:
+        parameters["layer_0"]["bias"] += (1.0 - mask) @ arrays["mask_weights"]
     statistics = Normaliser(
         observation=_mean_std(arrays, "observation"),  # pyright: ignore[reportArgumentType]
         goal=_mean_std(arrays, "goal"),  # pyright: ignore[reportArgumentType]
@@ -103,8 +121,7 @@ def act(
         raw_limit = arrays["raw_limit"]
         observation, goal = (jnp.clip(x, -raw_limit, raw_limit) for x in (observation, goal))
     inputs = network_input(statistics, observation, goal)
-    actor = Actor(tuple(widths[:-1]), widths[-1])
-    return actor.apply({"params": parameters}, inputs)  # pyright: ignore[reportReturnType]
+    return apply_actor({"params": parameters}, inputs)
 
 
 def _mean_std(arrays: Mapping[str, jax.Array | np.ndarray], kind: str) -> NestedMeanStd:

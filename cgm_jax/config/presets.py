@@ -65,7 +65,7 @@ PRESETS: dict[str, Grid] = {
         **_CPU,
         "env": ["reach"],
         "her": [False],
-        "cgm": [True, False],
+        "curriculum": ["cgm", "full"],
         "c_g": [0.0, 0.1, 0.2, 0.4, 0.6, 0.8],
         "kappa": [1.0, 4.0, 32.0],
         "seed": [0, 1, 2],

@@ -8,7 +8,8 @@ import jax
 import pytest
 
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.settings import Hyperparameters, SettingError
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host import memory, runner
 from cgm_jax.host.memory import (
     MemoryEstimate,
