@@ -21,10 +21,10 @@ from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.report.figures import epochs_to_half, learning_curves, mask_success
 from cgm_jax.settings import Settings
 from cgm_jax.sweep import SweepOptions
-from experiments.comparison import comparison
-from experiments.records import record, recorded_groups, recorded_rows
-from experiments.tables import improvement, learning_speed, write_table
-from experiments.train import train
+from experiments.learning.comparison import comparison
+from experiments.learning.records import record, recorded_groups, recorded_rows
+from experiments.learning.tables import improvement, learning_speed, write_table
+from experiments.learning.train import train
 
 HERE = Path(__file__).parent
 PLANS = HERE / "plans.toml"

@@ -3,7 +3,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
-from experiments.comparison import comparison
+from experiments.learning.comparison import comparison
 
 CURRICULA: list[dict[str, Any]] = [
     {"cgm": False, "kappa": 32.0, "estimate": "product"},

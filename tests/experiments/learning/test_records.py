@@ -6,7 +6,7 @@ import pytest
 
 from cgm_jax.grid import build_groups, split
 from cgm_jax.host.run_directory import CONFIG, METRICS, RunDirectory
-from experiments import records
+from experiments.learning import records
 
 RATES: list[float | None] = [1.0, 0.12345, None]
 

@@ -20,7 +20,7 @@ import tyro
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.settings import SettingError
 
-EXPERIMENTS = Path(__file__).resolve().parent
+ROOT = Path(__file__).resolve().parents[2]
 ENV_IDS = {"push": "FetchPush-v4", "pick_and_place": "FetchPickAndPlace-v4"}
 DEFAULTS = (Path("runs/push"), Path("runs/pick_and_place"))
 
@@ -38,10 +38,10 @@ class TransferOptions:
     seed: int = 0
     """Seed of Gymnasium-Robotics' first episode; the others follow."""
 
-    python: Path = EXPERIMENTS.parent / ".venv-transfer" / "bin" / "python"
+    python: Path = ROOT / ".venv-transfer" / "bin" / "python"
     """The Python that has gymnasium-robotics."""
 
-    out: Path = EXPERIMENTS / "results" / "transfer"
+    out: Path = ROOT / "experiments" / "results" / "transfer"
     """Directory for the table."""
 
 
@@ -49,10 +49,10 @@ def play_there(policy: Path, env_id: str, options: TransferOptions) -> dict[str,
     """Starts, goals and success in Gymnasium-Robotics, by `gymnasium_policy.py`."""
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory) / "episodes.npz"
-        program = EXPERIMENTS / "gymnasium_policy.py"
+        program = [str(options.python), "-m", "experiments.physics.gymnasium_policy"]
         numbers = str(options.episodes), str(options.seed)
-        command = [str(options.python), str(program), str(policy), env_id, *numbers, str(file)]
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        command = [*program, str(policy.resolve()), env_id, *numbers, str(file)]
+        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         if result.returncode:
             raise RuntimeError(result.stderr)
         with np.load(file) as episodes:
@@ -119,7 +119,7 @@ def compare(options: TransferOptions) -> list[dict[str, Any]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
-    options = parse(TransferOptions, arguments, "python experiments/transfer.py")
+    options = parse(TransferOptions, arguments, "python -m experiments.physics.transfer")
     if options.episodes < 1:
         raise SettingError(f"episodes: {options.episodes} is not at least 1")
     if not options.python.is_file():

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.tables import (
+from experiments.learning.tables import (
     area_under_curve,
     improvement,
     learning_speed,

@@ -6,7 +6,7 @@ import pytest
 from cgm_jax.policy import policy_arrays
 from cgm_jax.settings import Hyperparameters
 from cgm_jax.training import Trainer
-from experiments.calibration import errors, success_per_mask
+from experiments.learning.calibration import errors, success_per_mask
 from tests.cgm_jax.probe import TINY, OneStepProbe, actor_that_needs_to_see_y
 
 

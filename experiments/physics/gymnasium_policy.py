@@ -1,8 +1,8 @@
 """Play a policy file in Gymnasium-Robotics, with the README's lines of numpy and nothing of ours.
 
-`python experiments/gymnasium_policy.py POLICY.npz ENV_ID EPISODES SEED OUT.npz`, in an environment
-with gymnasium-robotics (`make transfer` builds it). Writes, per episode, `object_xy` [episodes, 2],
-`desired_goal` [episodes, 3] and `success` [episodes].
+`python -m experiments.physics.gymnasium_policy POLICY.npz ENV_ID EPISODES SEED OUT.npz`, in an
+environment with gymnasium-robotics (`make transfer` builds it), writes, per episode, `object_xy`
+[episodes, 2], `desired_goal` [episodes, 3] and `success` [episodes].
 """
 
 # gymnasium-robotics is not installed where the type checker runs.
@@ -16,7 +16,7 @@ import gymnasium
 import gymnasium_robotics
 import numpy as np
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+README = Path(__file__).resolve().parents[2] / "README.md"
 
 
 def readme_policy(path: Path) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

@@ -91,3 +91,8 @@ class Player:
             action = np.asarray(controller(observation, goal, i), np.float32)
             states.append(self._step(states[-1], jnp.asarray(action)))
         return states
+
+
+def success(states: list[State]) -> np.ndarray:
+    """Whether the last step achieves the goal, [E]."""
+    return np.asarray(states[-1].metrics["success"]) > 0

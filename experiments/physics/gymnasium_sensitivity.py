@@ -1,9 +1,9 @@
 """How far Gymnasium-Robotics strays from itself when the block starts a little elsewhere.
 
-`.venv-transfer/bin/python experiments/gymnasium_sensitivity.py RECORDING.npz OUT` replays the
-recorded pushes (see `fidelity.py`) with the block shifted along x, in the environment that `make
-transfer` builds. Writes OUT/sensitivity.csv: error of the block's yaw and the largest error of the
-other observation entries, as shares of their spread in the recording, and the episode that
+`.venv-transfer/bin/python -m experiments.physics.gymnasium_sensitivity RECORDING.npz OUT`, in the
+environment that `make transfer` builds, replays the recorded pushes (see `fidelity.py`) with the
+block shifted along x. Writes OUT/sensitivity.csv: error of the block's yaw and the largest error of
+the other observation entries, as shares of their spread in the recording, and the episode that
 contributes most to the former.
 """
 

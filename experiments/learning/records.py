@@ -13,9 +13,9 @@ from cgm_jax.grid import Group, Run
 from cgm_jax.host.run_directory import CONFIG, RunDirectory
 from cgm_jax.settings import Settings
 from cgm_jax.statistics import holds
-from experiments.tables import Row, write_table
+from experiments.learning.tables import Row, write_table
 
-SWEEPS = Path(__file__).parent / "results" / "sweeps"
+SWEEPS = Path(__file__).parents[1] / "results" / "sweeps"
 LEARNING = "learning.csv"
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from experiments import train as module
-from experiments.train import shares_of_cores, train
+from experiments.learning import train as module
+from experiments.learning.train import shares_of_cores, train
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be bound")

@@ -1,9 +1,10 @@
-"""Which timestep? `python -m experiments.timestep RECORDING.npz OUT` writes OUT/timestep.csv.
+"""Which timestep? `python -m experiments.physics.timestep RECORDING.npz OUT`.
 
-Per timestep (with as many substeps as fill a control step of 0.04 s) and time constant of the
-gripper's weld: errors against the recording that `fidelity.py` describes, success of the
-hand-written controllers, and speed relative to the model as it is. The speed is that of replaying
-the recording, all variants in turn, five times over; the median of the ratios within each round.
+Writes OUT/timestep.csv. Per timestep (with as many substeps as fill a control step of 0.04 s) and
+time constant of the gripper's weld: errors against the recording that `fidelity.py` describes,
+success of the hand-written controllers, and speed relative to the model as it is. The speed is that
+of replaying the recording, all variants in turn, five times over; the median of the ratios within
+each round.
 """
 
 import csv
@@ -19,9 +20,8 @@ import envs
 from envs.fetch import FetchEnvironment
 from envs.physics.native import NativePhysics
 from envs.scene import load_scene
-from experiments.fidelity import Replay, difference, errors, replay_task, replayer
-from tests.envs.measures import success
-from tests.envs.scripted import CONTROLLERS, Player
+from experiments.physics.fidelity import Replay, difference, errors, replay_task, replayer
+from experiments.physics.scripted import CONTROLLERS, Player, success
 
 TIMESTEPS = (0.002, 0.004, 0.005, 0.008, 0.01)
 WELD_TIMES = (0.02, 0.0205)  # Gymnasium-Robotics', and that of assets/fetch/arm.xml

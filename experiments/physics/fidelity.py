@@ -1,10 +1,12 @@
-"""Replay recorded Gymnasium-Robotics episodes: `python experiments/fidelity.py RECORDING.npz OUT`.
+"""Replay recorded Gymnasium-Robotics episodes open loop.
+
+`python -m experiments.physics.fidelity RECORDING.npz OUT` writes OUT/replay.csv (largest grip error
+and final object error per task and kind) and OUT/observations.csv (mean absolute error per
+observation entry, relative to the entry's standard deviation in the recording).
 
 The recording holds, per task, `observation` [episodes, 51, 25], `action` [episodes, 50, 4],
 `desired_goal` [episodes, 3] and `kind` (random, smooth, scripted). Each episode starts here with
-its recorded object position, and its actions are replayed open loop. Writes OUT/replay.csv (largest
-grip error and final object error per task and kind) and OUT/observations.csv (mean absolute error
-per observation entry, relative to the entry's standard deviation in the recording).
+its recorded object position, and its actions are replayed open loop.
 """
 
 import csv

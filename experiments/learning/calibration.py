@@ -1,11 +1,13 @@
-"""How good is the independence assumption? `python -m experiments.calibration RUN_DIR OUT`.
+"""How good is the independence assumption?
+
+`python -m experiments.learning.calibration RUN_DIR OUT` writes OUT/calibration.csv and
+OUT/calibration.png.
 
 The curriculum estimates the success of a masked goal as the product of the success rates of its
-kept sub-goals, measured with the full goal and without noise. The paper's Fig. 5 compares that
-with success in training, which mixes two things: whether the estimate is right, and what
-exploration noise costs. Here every policy that a run of the directory kept along the way, each of
-them better than all before, plays each mask without and with noise. Writes OUT/calibration.csv
-and OUT/calibration.png.
+kept sub-goals, measured with the full goal and without noise. The paper's Fig. 5 compares that with
+success in training, which mixes two things: whether the estimate is right, and what exploration
+noise costs. Here every policy that a run of the directory kept along the way, each of them better
+than all before, plays each mask without and with noise.
 """
 
 import functools
@@ -30,7 +32,7 @@ from cgm_jax.report.figures import mask_label
 from cgm_jax.rollout import roll_out
 from cgm_jax.settings import Hyperparameters
 from envs import GoalEnvironment
-from experiments.tables import write_table
+from experiments.learning.tables import write_table
 
 EPISODES = 100
 """Per policy, mask and kind of noise."""

@@ -12,7 +12,7 @@ from cgm_jax.report.figures import (
     label_success,
     make_panels,
 )
-from experiments.tables import Setting, runs_by_setting
+from experiments.learning.tables import Setting, runs_by_setting
 
 
 def comparison(rows: Sequence[dict[str, Any]]) -> Figure:
