@@ -32,14 +32,13 @@ from cgm_jax.report.figures import mask_label
 from cgm_jax.rollout import roll_out
 from cgm_jax.settings import Hyperparameters
 from envs import GoalEnvironment
-from experiments.learning.tables import write_table
+from experiments.learning.calibration_errors import ESTIMATES, MEASURED, calibration_errors
+from experiments.table import write_table
 
 EPISODES = 100
 """Per policy, mask and kind of noise."""
 
 Rates = dict[str, jax.Array]
-ESTIMATES = {"product": "product of sub-goal rates", "joint": "all kept sub-goals at once"}
-MEASURED = {"without_noise": "without noise", "with_noise": "with exploration noise"}
 
 
 def success_per_mask(
@@ -101,16 +100,6 @@ def kept_policies(directory: RunDirectory, run: Run) -> list[tuple[int, Path]]:
     return sorted((int(path.stem.rpartition("_epoch")[2]), path) for path in paths)
 
 
-def errors(rows: list[dict[str, Any]]) -> dict[tuple[str, str], tuple[float, float]]:
-    """Mean absolute error and mean error of each estimate against each measurement."""
-    table = {}
-    for estimate in ESTIMATES:
-        for measured in MEASURED:
-            difference = np.array([row[estimate] - row[measured] for row in rows])
-            table[estimate, measured] = (float(abs(difference).mean()), float(difference.mean()))
-    return table
-
-
 def draw(rows: list[dict[str, Any]]) -> Figure:
     """Estimated over measured success, a point per policy and mask."""
     figure, panels = plt.subplots(
@@ -131,7 +120,7 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
                 color=colour,
                 label=label,
             )
-        mean, bias = errors(rows)["product", measured]
+        mean, bias = calibration_errors(rows)["product", measured]
         panel.set_title(f"{title}: off by {100 * mean:.1f} points, bias {100 * bias:+.1f}")
         panel.set_xlabel("measured success of the masked goal")
         panel.grid(alpha=0.25)
@@ -148,7 +137,7 @@ def main(directory: Path, out: Path) -> None:
     figure = draw(rows)
     figure.savefig(out / "calibration.png", dpi=130)
     plt.close(figure)
-    for (estimate, measured), (mean, bias) in errors(rows).items():
+    for (estimate, measured), (mean, bias) in calibration_errors(rows).items():
         print(f"{ESTIMATES[estimate]}, {MEASURED[measured]}: {mean:.3f} off, bias {bias:+.3f}")
 
 

@@ -1,22 +1,27 @@
 """What is committed of a trained sweep: results/sweeps/NAME/ with its config and learning curves.
 
-Figures and tables are drawn from these records, so that they can be drawn again without training.
+Figures and tables are made from these records, so that they can be made again without training.
 """
 
-import csv
+import dataclasses
+import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgm_jax.grid import Group, Run
+from cgm_jax.grid import Group
 from cgm_jax.host.run_directory import CONFIG, RunDirectory
-from cgm_jax.settings import Settings
+from cgm_jax.settings import FIELDS, Settings
 from cgm_jax.statistics import holds
-from experiments.learning.tables import Row, write_table
+from experiments.learning.setting import Setting, setting_of
+from experiments.table import read_table, write_table
 
 SWEEPS = Path(__file__).parents[1] / "results" / "sweeps"
 LEARNING = "learning.csv"
+
+Row = dict[str, Any]
 
 
 def _switch(text: str) -> bool:
@@ -35,11 +40,46 @@ COLUMNS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("run", "env"), str),
     **dict.fromkeys(("seed", "epoch", "env_steps", "updates"), int),
     **dict.fromkeys(("her", "cgm"), _switch),
-    **dict.fromkeys(("c_g", "kappa", "wall_s"), float),
-    **dict.fromkeys(("success_rate", "physics_warnings", "failed_epoch"), _optional),
+    **dict.fromkeys(("c_g", "kappa", "wall_s", "success_rate"), _optional),
+    **dict.fromkeys(("physics_warnings", "failed_epoch", "moved_episodes"), _optional),
     **dict.fromkeys(("mask_rate_estimated", "mask_rate_training", "mask_probability"), _rates),
 }
-"""What is kept of a metrics row, and how it is read back; per-mask rates have three decimals."""
+"""What is kept of a metrics row, and how it is read back; per-mask rates have three decimals.
+
+A column that a version of the program did not write is absent from its records.
+"""
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """One run on record.
+
+    Attributes:
+        sweep: the sweep that it belongs to.
+        settings: all its settings, in today's names.
+        rows: its metrics, epoch by epoch.
+        alone: whether it trained alone in its process, so that its seconds are its own.
+    """
+
+    sweep: str
+    settings: Mapping[str, Any]
+    rows: Sequence[Row]
+    alone: bool
+
+    @property
+    def setting(self) -> Setting:
+        """What it has in common with other seeds."""
+        return setting_of(self.settings)
+
+    @property
+    def seed(self) -> int:
+        """Its seed."""
+        return self.settings["seed"]
+
+    @property
+    def budget(self) -> int:
+        """Environment steps that it was to train for, had it not been allowed to leave early."""
+        return self.settings["epochs"] * (self.rows[0]["env_steps"] // self.rows[0]["epoch"])
 
 
 def record(trained: RunDirectory, sweep: str) -> None:
@@ -51,35 +91,17 @@ def record(trained: RunDirectory, sweep: str) -> None:
         for run in group.runs
         if is_done([row for row in rows if row["run"] == run.name], group.settings)
     }
-    table = [{name: _text(row[name]) for name in COLUMNS} for row in rows if row["run"] in done]
-    if table:
+    kept = [row for row in rows if row["run"] in done]
+    if kept:
+        columns = [name for name in COLUMNS if any(name in row for row in kept)]
         folder = SWEEPS / sweep
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(trained.path / CONFIG, folder / CONFIG)
+        table = [{name: _text(row.get(name)) for name in columns} for row in kept]
         write_table(folder / LEARNING, table)
 
 
-def recorded_groups(sweep: str) -> list[Group]:
-    """The groups of runs of a sweep of which there is a record, done or not; else none."""
-    folder = RunDirectory(SWEEPS / sweep)
-    return folder.groups() if folder.holds_sweep() else []
-
-
-def recorded_rows(sweep: str) -> list[Row]:
-    """Rows of all runs on record, with what a comparison needs from the config besides."""
-    groups = recorded_groups(sweep)
-    if not groups:
-        return []
-    facts = {run.name: _facts(group, run) for group in groups for run in group.runs}
-    with (SWEEPS / sweep / LEARNING).open(newline="") as file:
-        rows = [
-            {name: read(line[name]) for name, read in COLUMNS.items()}
-            for line in csv.DictReader(file)
-        ]
-    return [{"sweep": sweep, **facts[row["run"]], **row} for row in rows]
-
-
-def is_done(rows: list[Row], settings: Settings) -> bool:
+def is_done(rows: Sequence[Row], settings: Settings) -> bool:
     """Whether a run got to its last epoch, or holds the success at which it may leave."""
     if not rows:
         return False
@@ -89,14 +111,65 @@ def is_done(rows: list[Row], settings: Settings) -> bool:
     return settings.leave_at is not None and holds(rates, settings.leave_at)
 
 
-def _facts(group: Group, run: Run) -> Row:
-    estimate = "product" if run.hyper.factorised else "joint"
-    return {
-        "her_filter": run.hyper.her_filter,
-        "estimate": "measured" if group.settings.masked_evaluation_episodes else estimate,
-        "alone": len(group.runs) == 1,
-        "leave_at": group.settings.leave_at,
-    }
+def recorded_config(sweep: str) -> Row | None:
+    """The config of a sweep on record: what made it, on which machine; None without a record."""
+    path = SWEEPS / sweep / CONFIG
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def recorded_settings(sweep: str) -> list[tuple[str, Row]]:
+    """Name and settings of every run of a sweep of which there is a record, done or not."""
+    config = recorded_config(sweep)
+    return [
+        (run["name"], upgraded({**group["settings"], **run}))
+        for group in (config["groups"] if config else [])
+        for run in group["runs"]
+    ]
+
+
+def upgraded(settings: Mapping[str, Any]) -> Row:
+    """A recorded run's settings in today's names; those that it had not yet are at their defaults.
+
+    A setting that is renamed or replaced is translated here.
+
+    Raises:
+        ValueError: a setting that no version had.
+    """
+    recorded = {name: value for name, value in settings.items() if name != "name"}
+    if unknown := recorded.keys() - FIELDS.keys():
+        raise ValueError(f"no translation for the recorded settings {', '.join(sorted(unknown))}")
+    return {name: plain(recorded.get(name, item.default)) for name, item in FIELDS.items()}
+
+
+def settings_of(groups: Sequence[Group]) -> list[Row]:
+    """All settings of every run of groups, as records hold them."""
+    return [
+        plain(dataclasses.asdict(group.settings) | dataclasses.asdict(run.hyper))
+        for group in groups
+        for run in group.runs
+    ]
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON gives it back."""
+    return json.loads(json.dumps(value))
+
+
+def recorded_runs(sweep: str) -> list[RecordedRun]:
+    """All runs of a sweep that are on record."""
+    settings = recorded_settings(sweep)
+    if not settings:
+        return []
+    rows: dict[str, list[Row]] = {name: [] for name, _ in settings}
+    for line in read_table(SWEEPS / sweep / LEARNING):
+        rows[line["run"]].append({name: COLUMNS[name](text) for name, text in line.items()})
+    config = recorded_config(sweep) or {}
+    alone = {run["name"] for g in config["groups"] if len(g["runs"]) == 1 for run in g["runs"]}
+    return [
+        RecordedRun(sweep, values, rows[name], name in alone)
+        for name, values in settings
+        if rows[name]
+    ]
 
 
 def _text(value: Any) -> Any:

@@ -2,16 +2,15 @@
 
 import os
 import queue
-import shlex
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 
-def train(sweeps: Mapping[str, str], directory: Path, at_once: int = 1) -> None:
+def train(sweeps: Mapping[str, Sequence[str]], directory: Path, at_once: int = 1) -> None:
     """Train what is missing of sweeps; one that is stopped or fails ends this program as it ended.
 
     A single run gains little from a second core, so that two sweeps on a core each are done
@@ -62,9 +61,9 @@ def shares_of_cores(count: int) -> list[set[int]]:
     return [set(cores[i::count]) or {cores[i % len(cores)]} for i in range(count)]
 
 
-def _sweep(options: str, out: Path, *, quiet: bool) -> int:
+def _sweep(options: Sequence[str], out: Path, *, quiet: bool) -> int:
     """Train one sweep in a process of its own; return its exit code."""
-    command = [sys.executable, "-m", "cgm_jax.sweep", *shlex.split(options), "--out", str(out)]
+    command = [sys.executable, "-m", "cgm_jax.sweep", *options, "--out", str(out)]
     if not quiet:
         return subprocess.run(command, check=False).returncode
     with Path(f"{out}.log").open("a") as log:

@@ -9,7 +9,6 @@ The recording holds, per task, `observation` [episodes, 51, 25], `action` [episo
 its recorded object position, and its actions are replayed open loop.
 """
 
-import csv
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 
 import envs
 from envs.fetch import FetchEnvironment
+from experiments.table import write_table
 
 ENTRIES = [
     *(f"grip_{axis}" for axis in "xyz"),
@@ -119,10 +119,7 @@ def main(recording: Path, out: Path) -> None:
     with np.load(recording) as file:
         tables = compare(dict(file))
     for name, rows in zip(("replay", "observations"), tables, strict=True):
-        with (out / f"{name}.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_table(out / f"{name}.csv", rows)
     for row in tables[0]:
         print(*row.values(), sep="\t")
 

@@ -10,7 +10,6 @@ contributes most to the former.
 # gymnasium-robotics is not installed where the type checker runs.
 # pyright: reportMissingImports=false
 
-import csv
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,8 @@ from typing import Any
 import gymnasium
 import gymnasium_robotics
 import numpy as np
+
+from experiments.table import write_table
 
 SHIFTS = (0.0, 1e-6, 1e-4, -1e-4, 1e-3, -1e-3, 3e-3, -3e-3)  # metres
 YAW = 13
@@ -68,9 +69,6 @@ if __name__ == "__main__":
         sys.exit(__doc__)
     with np.load(sys.argv[1]) as file:
         table = compare(dict(file))
-    with (Path(sys.argv[2]) / "sensitivity.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table)
+    write_table(Path(sys.argv[2]) / "sensitivity.csv", table)
     for row in table:
         print(*row.values(), sep="\t")

@@ -7,7 +7,6 @@ of replaying the recording, all variants in turn, five times over; the median of
 each round.
 """
 
-import csv
 import dataclasses
 import sys
 import time
@@ -22,6 +21,7 @@ from envs.physics.native import NativePhysics
 from envs.scene import load_scene
 from experiments.physics.fidelity import Replay, difference, errors, replay_task, replayer
 from experiments.physics.scripted import CONTROLLERS, Player, success
+from experiments.table import write_table
 
 TIMESTEPS = (0.002, 0.004, 0.005, 0.008, 0.01)
 WELD_TIMES = (0.02, 0.0205)  # Gymnasium-Robotics', and that of assets/fetch/arm.xml
@@ -104,10 +104,7 @@ def main(recording: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with np.load(recording) as file:
         rows = compare(dict(file))
-    with (out / "timestep.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(out / "timestep.csv", rows)
     for row in rows:
         print(*row.values(), sep="\t")
 

@@ -6,7 +6,6 @@ of Gymnasium-Robotics: in pick-and-place, half of them on the table. Prints a ta
 OUT/transfer.csv.
 """
 
-import csv
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ import tyro
 
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.settings import SettingError
+from experiments.table import write_table
 
 ROOT = Path(__file__).resolve().parents[2]
 ENV_IDS = {"push": "FetchPush-v4", "pick_and_place": "FetchPickAndPlace-v4"}
@@ -126,10 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise SettingError(f"python: no {options.python}; `make transfer` builds it")
     rows = compare(options)
     options.out.mkdir(parents=True, exist_ok=True)
-    with (options.out / "transfer.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(options.out / "transfer.csv", rows)
     for row in [dict(zip(rows[0], rows[0], strict=True)), *rows]:
         print(*row.values(), sep="\t")
     return 0

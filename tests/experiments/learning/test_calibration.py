@@ -6,7 +6,8 @@ import pytest
 from cgm_jax.policy import policy_arrays
 from cgm_jax.settings import Hyperparameters
 from cgm_jax.training import Trainer
-from experiments.learning.calibration import errors, success_per_mask
+from experiments.learning.calibration import success_per_mask
+from experiments.learning.calibration_errors import calibration_errors
 from tests.cgm_jax.probe import TINY, OneStepProbe, actor_that_needs_to_see_y
 
 
@@ -30,6 +31,6 @@ def test_errors_are_mean_distance_and_mean_difference() -> None:
         {"product": 0.5, "joint": 0.5, "without_noise": 0.4, "with_noise": 0.5},
         {"product": 0.2, "joint": 0.4, "without_noise": 0.5, "with_noise": 0.5},
     ]
-    table = errors(rows)
+    table = calibration_errors(rows)
     assert table["product", "without_noise"] == pytest.approx((0.2, -0.1))
     assert table["joint", "without_noise"] == pytest.approx((0.1, 0.0))

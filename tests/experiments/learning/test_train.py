@@ -21,10 +21,10 @@ def test_sweeps_at_once_have_a_share_of_the_cores_each(
 
     monkeypatch.setattr(module.subprocess, "run", run)
     before = os.sched_getaffinity(0)
-    train({"a": "--preset smoke", "b": "--preset smoke"}, tmp_path, at_once=2)
+    train({"a": ["--preset", "smoke"], "b": ["--preset", "smoke"]}, tmp_path, at_once=2)
     assert set(seen) == {"a", "b"}
     assert all(cores in shares_of_cores(2) for cores in seen.values())
-    train({"c": "--preset smoke"}, tmp_path)
+    train({"c": ["--preset", "smoke"]}, tmp_path)
     assert seen["c"] == before == os.sched_getaffinity(0)
 
 
@@ -46,6 +46,6 @@ def test_a_sweep_that_is_stopped_ends_the_program_with_its_code_and_begins_no_ot
 
     monkeypatch.setattr(module.subprocess, "run", run)
     with pytest.raises(SystemExit) as end:
-        train(dict.fromkeys("abcdefgh", "--preset smoke"), tmp_path)
+        train({name: ["--preset", "smoke"] for name in "abcdefgh"}, tmp_path)
     assert end.value.code == 75
     assert begun == ["a"]
