@@ -17,7 +17,7 @@ from cgm_jax.report.figures import (
 from experiments.learning.paired import SEEDS_OF_A_CLAIM
 from experiments.learning.records import RecordedRun
 from experiments.learning.setting import NO_MASKS, UNIFORM, Setting
-from experiments.learning.tables import Runs, metrics_of, runs_by_setting
+from experiments.learning.tables import Runs, left_early, metrics_of, runs_by_setting
 from experiments.markdown import counted
 from experiments.table import read_table
 
@@ -68,7 +68,7 @@ def _draw(panel: Axes, setting: Setting, seeds: Mapping[int, RecordedRun], label
     for run, curve in zip(seeds.values(), curves, strict=True):
         known = np.isfinite(curve)
         panel.plot(steps[known], curve[known], style, color=colour, linewidth=0.6, alpha=0.5)
-        if run.rows[-1]["env_steps"] < run.budget:
+        if left_early(run):
             panel.plot(steps[known][-1], curve[known][-1], ".", color=colour)
 
 

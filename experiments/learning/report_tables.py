@@ -11,6 +11,7 @@ from experiments.learning.paired import comparisons
 from experiments.learning.plans import read_plans, runs_of
 from experiments.learning.records import (
     SWEEPS,
+    RecordedRun,
     recorded_config,
     recorded_runs,
     recorded_settings,
@@ -23,6 +24,7 @@ from experiments.learning.tables import (
     env_steps_to_hold,
     final_success,
     is_settled,
+    left_early,
     only_setting,
     runs_by_setting,
     window_means,
@@ -89,8 +91,7 @@ def speed(question: str) -> Table:
         row = [setting.env.replace("_", "-"), setting.algorithm, setting.curriculum]
         for level in LEVELS:
             row += _held(runs, level)
-        early = [run for run in runs if run.rows[-1]["env_steps"] < run.budget]
-        row.append("left early" if early else _by_seed([100 * final_success(run) for run in runs]))
+        row.append(", ".join(_end(run) for run in runs))
         row.append(f"{max(run.rows[-1]['env_steps'] for run in runs) / 1000:,g}")
         rows.append(row)
     header = ["task", "algorithm", "masks"]
@@ -98,6 +99,11 @@ def speed(question: str) -> Table:
         header += [f"{percent(level)} held, by seed", "median (quartiles)"]
     header += ["end, %, by seed", "trained to"]
     return without_constant_columns(Table(header, rows), 3)
+
+
+def _end(run: RecordedRun) -> str:
+    """Success at the end in percent, of a run that was seen to its end."""
+    return "left" if left_early(run) else _number(100 * final_success(run))
 
 
 def _held(runs: Runs, level: float) -> list[str]:
@@ -209,7 +215,7 @@ def moved_episodes(question: str, width: str) -> Table:
             rows.append([setting.curriculum, str(seed), *map(_number, held), *shares])
     header = ["masks", "seed", *(f"{percent(level)} held at" for level in LEVELS)]
     header += [f"moved, {_window(end, int(width))}" for end in ends]
-    return Table(header, rows)
+    return Table(header, rows, "How many episodes moved the block is not on record yet.")
 
 
 def _ends(runs: Runs, width: int) -> list[int]:

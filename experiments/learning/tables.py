@@ -55,6 +55,11 @@ def is_settled(run: RecordedRun, level: float) -> bool:
     return leave_at is None or level <= leave_at
 
 
+def left_early(run: RecordedRun) -> bool:
+    """Whether a run left before its end, since it held the success that it was trained for."""
+    return run.rows[-1]["env_steps"] < run.budget
+
+
 def final_success(run: RecordedRun) -> float:
     """Mean success of a run's last evaluations, as many as it takes to hold a success."""
     rates = [row["success_rate"] or 0.0 for row in run.rows[-HOLDING_EVALUATIONS:]]
@@ -77,9 +82,8 @@ def learning_speed(runs: Runs) -> list[Row]:
             if not all(is_settled(run, level) for run in same):
                 arrivals = dict.fromkeys(arrivals, "")
             entry |= {f"{name}_{100 * level:.0f}": value for name, value in arrivals.items()}
-        left_early = any(run.settings["leave_at"] is not None for run in same)
-        entry["final_success"] = (
-            "" if left_early else " ".join(str(final_success(run)) for run in same)
+        entry["final_success"] = " ".join(
+            "left" if left_early(run) else str(final_success(run)) for run in same
         )
         entry["trained_to"] = max(run.rows[-1]["env_steps"] for run in same)
         table.append(entry)
