@@ -112,7 +112,8 @@ def _held(runs: Runs, level: float) -> list[str]:
         return ["not trained for", ""]
     steps = [env_steps_to_hold(run, level) for run in runs]
     low, median, high = (_thousands(value) for value in quartiles(steps))
-    return [_by_seed([value / 1000 for value in steps]), f"{median} ({low} to {high})"]
+    spread = median if low == high else f"{median} ({low} to {high})"
+    return [_by_seed([value / 1000 for value in steps]), spread]
 
 
 def _thousands(value: float) -> str:
@@ -152,7 +153,7 @@ def paired(question: str, level: str = "") -> Table:
         )
     header = ["task", "algorithm", "compared", "held", "differences by seed"]
     header += ["mean (95 % interval)", "exact p", "P(sooner)"]
-    return without_constant_columns(Table(header, rows), 4)
+    return without_constant_columns(Table(header, rows), 2)
 
 
 def _difference(text: str) -> str:

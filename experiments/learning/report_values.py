@@ -145,7 +145,7 @@ def probability_of_full_goal(sweep: str) -> str:
 
 def smallest_p(pairs: str) -> str:
     """The smallest p-value that an exact two-sided test of so many pairs can give."""
-    return percent(2 / 2 ** int(pairs), 1)
+    return f"{2 / 2 ** int(pairs):.2g}"
 
 
 def standard_error(episodes: str) -> str:

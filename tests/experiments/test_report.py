@@ -81,13 +81,9 @@ def test_a_line_must_not_begin_with_a_value() -> None:
 
 
 def test_a_value_is_replaced_where_it_stands() -> None:
-    text = (
-        "p = <!-- value: smallest_p 3 -->1 %<!-- end -->, <!-- value: smallest_p 5 --><!-- end -->"
-    )
-    expected = (
-        "p = <!-- value: smallest_p 3 -->25 %<!-- end -->, "
-        "<!-- value: smallest_p 5 -->6.2 %<!-- end -->"
-    )
+    three, five = "<!-- value: smallest_p 3 -->", "<!-- value: smallest_p 5 -->"
+    text = f"p = {three}1 %<!-- end -->, {five}<!-- end -->"
+    expected = f"p = {three}0.25<!-- end -->, {five}0.062<!-- end -->"
     assert regenerated(text) == expected == regenerated(expected)
 
 
