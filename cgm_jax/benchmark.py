@@ -20,10 +20,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cgm_jax.grid import Group, Run, build_groups
+from cgm_jax.config.grid import Group, Run, build_groups
+from cgm_jax.config.settings import SettingError
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.startup import prepare_jax
-from cgm_jax.settings import SettingError
 
 
 @dataclass(kw_only=True)
@@ -102,9 +102,9 @@ def _medians(functions: Sequence[Callable[[], Any]], repeats: int) -> list[float
 def _first_step() -> None:
     import jax
 
-    from cgm_jax.environments import make_environment
-    from cgm_jax.programs import make_programs, stack_runs
-    from cgm_jax.training import Trainer
+    from cgm_jax.loop.environment import make_environment
+    from cgm_jax.loop.programs import make_programs, stack_runs
+    from cgm_jax.loop.training import Trainer
 
     group = _cpu_group("push")
     programs = make_programs(Trainer(make_environment(group.settings), group.settings))
@@ -152,8 +152,8 @@ def _rollout_seconds(task: str, simulations: int, repeats: int) -> tuple[float, 
     import jax.numpy as jnp
     from mujoco.batch import Batch
 
-    import envs
-    from envs.physics.native import SENSOR_STAGE, available_cores
+    from cgm_jax import envs
+    from cgm_jax.envs.physics.native import SENSOR_STAGE, available_cores
 
     env = envs.make(task, engine="native")
     actions = jax.random.uniform(jax.random.key(0), (50, simulations, 4), minval=-1.0, maxval=1.0)
@@ -204,8 +204,8 @@ def _measure_updates(repeats: int) -> list[Figure]:
     import jax
     import jax.numpy as jnp
 
-    from cgm_jax.ddpg import DDPG, Minibatch
-    from cgm_jax.settings import Hyperparameters
+    from cgm_jax.agents.ddpg import DDPG, Minibatch
+    from cgm_jax.config.settings import Hyperparameters
 
     count, size = 10, 2048
     matrix = jax.random.normal(jax.random.key(0), (size, size))
@@ -264,9 +264,9 @@ def _measure_sweep(repeats: int) -> list[Figure]:
     """A sweep of 6 against 6 single runs, and what compiles after the first epoch."""
     import jax
 
-    from cgm_jax.environments import make_environment
-    from cgm_jax.programs import compilations, make_programs, stack_runs
-    from cgm_jax.training import Trainer
+    from cgm_jax.loop.environment import make_environment
+    from cgm_jax.loop.programs import compilations, make_programs, stack_runs
+    from cgm_jax.loop.training import Trainer
 
     group = _cpu_group("push", runs=6)
     settings = dataclasses.replace(group.settings, cycles_per_epoch=2)

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cgm_jax.grid import build_groups
+from cgm_jax.config.grid import build_groups
+from cgm_jax.config.presets import preset_grid
+from cgm_jax.config.settings import SettingError
 from cgm_jax.host.command_line import TrainingOptions, chosen_values, parse, run_program
 from cgm_jax.host.session import train_groups
-from cgm_jax.presets import preset_grid
-from cgm_jax.settings import SettingError
 
 
 @dataclass(kw_only=True)

@@ -20,9 +20,9 @@ import numpy as np
 from brax.envs.base import State
 from gymnasium import spaces
 
-from envs.fetch import FetchEnvironment
-from envs.make import make
-from envs.rendering import FRAMES_PER_SECOND, Renderer
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.make import make
+from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_SECOND}
 

@@ -13,7 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from envs.gymnasium_fetch import (
+from cgm_jax.envs.gymnasium_fetch import (
     METADATA,
     Observation,
     action_space,

@@ -3,10 +3,10 @@
 import dataclasses
 from typing import Any
 
-from envs.fetch import FetchEnvironment
-from envs.physics.choose import ENGINES, start_engine
-from envs.scene import load_scene
-from envs.tasks import TASKS
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.physics.choose import ENGINES, start_engine
+from cgm_jax.envs.scene import load_scene
+from cgm_jax.envs.tasks import TASKS
 
 __all__ = ["ENGINES", "TASKS", "make"]
 

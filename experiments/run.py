@@ -16,8 +16,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from cgm_jax.host.run_directory import RunDirectory
-from cgm_jax.report.figures import epochs_to_half, learning_curves, mask_success
+from cgm_jax.results.figures import epochs_to_half, learning_curves, mask_success
+from cgm_jax.storage.run_directory import RunDirectory
 from experiments.learning.comparison import comparison
 from experiments.learning.paired import comparisons
 from experiments.learning.plans import (

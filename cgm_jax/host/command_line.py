@@ -17,9 +17,9 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
+from cgm_jax.config.presets import PRESETS, Grid
+from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
 from cgm_jax.host.exit_codes import ExitCode
-from cgm_jax.presets import PRESETS, Grid
-from cgm_jax.settings import Hyperparameters, SettingError, Settings
 
 DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""

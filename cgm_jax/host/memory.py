@@ -13,8 +13,8 @@ from pathlib import Path
 
 import jax
 
-from cgm_jax.settings import Hyperparameters, SettingError
-from cgm_jax.training import Trainer
+from cgm_jax.config.settings import Hyperparameters, SettingError
+from cgm_jax.loop.training import Trainer
 
 USABLE_SHARE = 0.8
 """Share of the free memory that a sweep may plan with."""

@@ -9,13 +9,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.divergence import describe_failure
-from cgm_jax.grid import Group
+from cgm_jax.agents.policy import policy_arrays
+from cgm_jax.config.grid import Group
 from cgm_jax.host.checkpoint import Standing, save_checkpoint
-from cgm_jax.host.run_directory import RunDirectory, metrics_line
-from cgm_jax.policy import policy_arrays
-from cgm_jax.training import Metrics, deterministic_actor
-from cgm_jax.training_state import TrainingState
+from cgm_jax.loop.divergence import describe_failure
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.training import Metrics, deterministic_actor
+from cgm_jax.storage.run_directory import RunDirectory, metrics_line
 
 
 class Recorder:

@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.environments import make_environment
-from cgm_jax.grid import Group, split
+from cgm_jax.config.grid import Group, split
+from cgm_jax.config.settings import Hyperparameters, SettingError
 from cgm_jax.host.checkpoint import Standing, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import Interruption
@@ -20,12 +20,12 @@ from cgm_jax.host.memory import estimate_memory, format_bytes, runs_that_fit
 from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
-from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.host.watchdog import watchdog
-from cgm_jax.programs import Programs, make_programs, stack_runs
-from cgm_jax.settings import Hyperparameters, SettingError
-from cgm_jax.statistics import HOLDING_EVALUATIONS, holds
-from cgm_jax.training import Metrics, Trainer
+from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.programs import Programs, make_programs, stack_runs
+from cgm_jax.loop.training import Metrics, Trainer
+from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
+from cgm_jax.storage.run_directory import RunDirectory
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cgm_jax.grid import Group
+from cgm_jax.config.grid import Group
+from cgm_jax.config.settings import SettingError
 from cgm_jax.host.command_line import TrainingOptions
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
-from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.host.startup import prepare_jax
-from cgm_jax.settings import SettingError
+from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job
@@ -105,7 +105,7 @@ def _train(
 ) -> int:
     from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
     from cgm_jax.host.runner import run_jobs
-    from cgm_jax.report.figures import draw_figures
+    from cgm_jax.results.figures import draw_figures
 
     started = time.monotonic()
     cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)

@@ -22,4 +22,4 @@ def prepare_jax() -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
-    import envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+    import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from envs.mocap_controller import ControlTarget
+from cgm_jax.envs.mocap_controller import ControlTarget
 
 
 class PhysicsState(struct.PyTreeNode):

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cgm_jax.report.figures import (
+from cgm_jax.results.figures import (
     curves_of,
     draw_quartiles,
     label_steps,

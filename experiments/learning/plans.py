@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cgm_jax.grid import build_groups
+from cgm_jax.config.grid import build_groups
+from cgm_jax.config.settings import FIELDS
 from cgm_jax.host.command_line import chosen_values, parse, seed_values
-from cgm_jax.settings import FIELDS
 from cgm_jax.sweep import SweepOptions
 from experiments.learning.records import RecordedRun, recorded_runs, settings_of
 

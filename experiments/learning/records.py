@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgm_jax.grid import Group
-from cgm_jax.host.run_directory import CONFIG, RunDirectory
-from cgm_jax.settings import FIELDS, Settings
-from cgm_jax.statistics import holds
+from cgm_jax.config.grid import Group
+from cgm_jax.config.settings import FIELDS, Settings
+from cgm_jax.results.statistics import holds
+from cgm_jax.storage.run_directory import CONFIG, RunDirectory
 from experiments.learning.setting import Setting, setting_of
 from experiments.table import read_table, write_table
 
@@ -41,8 +41,9 @@ COLUMNS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("seed", "epoch", "env_steps", "updates"), int),
     **dict.fromkeys(("her", "cgm"), _switch),
     **dict.fromkeys(("c_g", "kappa", "wall_s", "success_rate"), _optional),
-    **dict.fromkeys(("physics_warnings", "failed_epoch", "moved_episodes"), _optional),
-    **dict.fromkeys(("mask_rate_estimated", "mask_rate_training", "mask_probability"), _rates),
+    **dict.fromkeys(("physics_warnings", "failed_epoch", "moved_share"), _optional),
+    **dict.fromkeys(("mask_rate_estimated", "mask_rate_training"), _rates),
+    **dict.fromkeys(("mask_probability", "mask_share"), _rates),
 }
 """What is kept of a metrics row, and how it is read back; per-mask rates have three decimals.
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from cgm_jax.grid import build_groups
-from cgm_jax.statistics import first_to_hold, quartiles
+from cgm_jax.config.grid import build_groups
+from cgm_jax.results.statistics import first_to_hold, quartiles
 from experiments.learning.calibration_errors import ESTIMATES, MEASURED, calibration_errors
 from experiments.learning.paired import comparisons
 from experiments.learning.plans import read_plans, runs_of
@@ -205,12 +205,12 @@ def mask_stages(sweep: str, width: str) -> Table:
 
 def moved_episodes(question: str, width: str) -> Table:
     """Share of training episodes that moved the achieved goal, by setting and seed."""
-    runs = [run for run in runs_of(question) if "moved_episodes" in run.rows[0]]
+    runs = [run for run in runs_of(question) if "moved_share" in run.rows[0]]
     ends = _ends(runs, int(width)) if runs else []
     rows = []
     for setting, seeds in runs_by_setting(runs).items():
         for seed, run in seeds.items():
-            means = window_means([run], ends, "moved_episodes")
+            means = window_means([run], ends, "moved_share")
             held = [env_steps_to_hold(run, level) / 1000 for level in LEVELS]
             shares = [_share(means[end]) for end in ends]
             rows.append([setting.curriculum, str(seed), *map(_number, held), *shares])

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from cgm_jax.statistics import first_to_hold
+from cgm_jax.results.statistics import first_to_hold
 from experiments.learning.plans import runs_of
 from experiments.learning.records import SWEEPS, recorded_runs
 from experiments.learning.setting import NO_MASKS

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cgm_jax.statistics import HOLDING_EVALUATIONS, first_to_hold, quartiles
+from cgm_jax.results.statistics import HOLDING_EVALUATIONS, first_to_hold, quartiles
 from experiments.learning.records import RecordedRun, Row, recorded_runs
 from experiments.learning.setting import Setting
 

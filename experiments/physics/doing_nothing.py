@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-import envs
+from cgm_jax import envs
 from experiments.physics.scripted import Player, success
 from experiments.table import write_table
 

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import envs
-from envs.fetch import FetchEnvironment
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
 from experiments.table import write_table
 
 ENTRIES = [

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from envs.fetch import FetchEnvironment
+from cgm_jax.envs.fetch import FetchEnvironment
 
 Controller = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-import envs
-from envs.fetch import FetchEnvironment
-from envs.physics.native import NativePhysics
-from envs.scene import load_scene
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.physics.native import NativePhysics
+from cgm_jax.envs.scene import load_scene
 from experiments.physics.fidelity import Replay, difference, errors, replay_task, replayer
 from experiments.physics.scripted import CONTROLLERS, Player, success
 from experiments.table import write_table

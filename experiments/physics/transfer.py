@@ -16,8 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from cgm_jax.config.settings import SettingError
 from cgm_jax.host.command_line import parse, run_program
-from cgm_jax.settings import SettingError
 from experiments.table import write_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,8 +64,8 @@ def play_here(policy: Path, task: str, there: dict[str, np.ndarray]) -> np.ndarr
     import jax
     import jax.numpy as jnp
 
-    import envs
-    from cgm_jax.policy import act, load_policy
+    from cgm_jax import envs
+    from cgm_jax.agents.policy import act, load_policy
 
     env, arrays = envs.make(task), load_policy(policy)
 
@@ -88,7 +88,7 @@ def compare(options: TransferOptions) -> list[dict[str, Any]]:
     Raises:
         SettingError: a directory holds no sweep, or no policy of push or pick_and_place.
     """
-    from cgm_jax.host.run_directory import RunDirectory
+    from cgm_jax.storage.run_directory import RunDirectory
 
     rows = []
     for directory in [RunDirectory.open(path) for path in options.directories]:

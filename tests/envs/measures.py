@@ -8,8 +8,8 @@ import itertools
 import numpy as np
 from brax.envs.base import State
 
-from envs.fetch import FetchEnvironment
-from envs.observations import SECONDS_PER_CONTROL_STEP
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.observations import SECONDS_PER_CONTROL_STEP
 
 
 def observations(states: list[State]) -> np.ndarray:

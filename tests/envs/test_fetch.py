@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import scipy.stats
 
-import envs
-from envs.fetch import FetchEnvironment
-from envs.mocap_controller import ControlTarget
-from envs.physics.native import NativePhysics
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.native import NativePhysics
 from experiments.physics.scripted import CONTROLLERS, Player, success
 from tests.envs.measures import warnings
 

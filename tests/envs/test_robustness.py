@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import envs
+from cgm_jax import envs
 from experiments.physics.scripted import Player
 from tests.envs.adversary import ADVERSARIES, attack
 from tests.envs.measures import finger_depth, object_speed, observations, warnings

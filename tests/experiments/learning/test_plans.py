@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from cgm_jax.presets import PRESETS
+from cgm_jax.config.presets import PRESETS
 from experiments.learning.plans import (
     not_written_out,
     options_of,

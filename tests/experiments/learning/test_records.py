@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from cgm_jax.grid import build_groups, split
-from cgm_jax.host.run_directory import CONFIG, METRICS, RunDirectory
+from cgm_jax.config.grid import build_groups, split
+from cgm_jax.storage.run_directory import CONFIG, METRICS, RunDirectory
 from experiments.learning import records
 
 RATES: list[float | None] = [1.0, 0.12345, None]
@@ -64,12 +64,12 @@ def test_a_run_that_left_early_is_done(tmp_path: Path) -> None:
 def test_a_column_that_a_version_wrote_is_kept_and_one_that_it_did_not_is_absent(
     tmp_path: Path,
 ) -> None:
-    trained(tmp_path / "run", {}, [[1.0] * 5] * 2, moved_episodes=0.4375)
+    trained(tmp_path / "run", {}, [[1.0] * 5] * 2, moved_share=0.4375)
     records.record(RunDirectory(tmp_path / "run"), "new")
     trained(tmp_path / "older", {}, [[1.0] * 5] * 2)
     records.record(RunDirectory(tmp_path / "older"), "old")
-    assert [row["moved_episodes"] for row in records.recorded_runs("new")[1].rows] == [0.4375] * 5
-    assert "moved_episodes" not in records.recorded_runs("old")[0].rows[0]
+    assert [row["moved_share"] for row in records.recorded_runs("new")[1].rows] == [0.4375] * 5
+    assert "moved_share" not in records.recorded_runs("old")[0].rows[0]
 
 
 def test_settings_that_an_older_version_had_not_are_at_their_defaults(tmp_path: Path) -> None:

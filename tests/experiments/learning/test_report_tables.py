@@ -62,9 +62,9 @@ def test_what_moved_the_block_is_shown_per_seed_as_far_as_it_is_known(
 ) -> None:
     question += [run([0.6] * 4, 0), run([0.0] * 2, 0, cgm=False), run([0.0] * 2, 1)]
     for row, share in zip(question[0].rows, (0.1, 0.3, 0.5, None), strict=True):
-        row["moved_episodes"] = share
+        row["moved_share"] = share
     for row in question[1].rows:
-        row["moved_episodes"] = 0.04
+        row["moved_share"] = 0.04
     table = report_tables.moved_episodes("any", "2000")
     assert list(table.header)[-2:] == ["moved, 0 to 2", "moved, 2 to 4"]
     assert [list(row) for row in table.rows] == [
