@@ -1,8 +1,8 @@
 """Answer questions of the report: `python -m experiments.run QUESTION [QUESTION ...]`.
 
-Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP, where each resumes from where
-it stopped. What is done is then recorded in results/sweeps/SWEEP. From those records come tables
-and figures in results/QUESTION, and the tables and numbers of README.md.
+Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP (`--runs`), where each resumes
+from where it stopped. What is done is then recorded in results/sweeps/SWEEP. From those records
+come tables and figures in results/QUESTION, and the tables and numbers of README.md.
 
 `--draw` trains nothing and draws from what is on record; `--report` only brings README.md up to
 date, and takes no question.
@@ -93,6 +93,13 @@ def main() -> None:
     parser.add_argument("--draw", action="store_true", help="train nothing, draw from the records")
     parser.add_argument("--report", action="store_true", help="only bring README.md up to date")
     parser.add_argument(
+        "--runs",
+        type=Path,
+        default=RUNS,
+        metavar="DIR",
+        help=f"where sweeps are trained, each in its own directory (default: {RUNS})",
+    )
+    parser.add_argument(
         "--at-once",
         type=int,
         default=1,
@@ -108,10 +115,12 @@ def main() -> None:
         parser.error(f"--at-once: {options.at_once} is not at least 1")
     sweeps = {sweep: None for name in options.questions for sweep in plans.questions[name].sweeps}
     if not (options.draw or options.report):
-        train({name: options_of(plans.sweeps[name]) for name in sweeps}, RUNS, options.at_once)
+        asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps}
+        train(asked_for, options.runs, options.at_once)
     for sweep in sweeps:
-        if RunDirectory(RUNS / sweep).holds_sweep():
-            record(RunDirectory(RUNS / sweep), sweep)
+        trained = RunDirectory(options.runs / sweep)
+        if trained.holds_sweep():
+            record(trained, sweep)
     try:
         for name in options.questions:
             print(write_results(name, plans.questions[name], plans))

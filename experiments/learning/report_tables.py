@@ -88,7 +88,8 @@ def speed(question: str) -> Table:
     rows = []
     for setting, seeds in runs_by_setting(runs_of(question)).items():
         runs = list(seeds.values())
-        row = [setting.env.replace("_", "-"), setting.algorithm, setting.curriculum]
+        masks = setting.curriculum + _which(list(seeds))
+        row = [setting.env.replace("_", "-"), setting.algorithm, masks]
         for level in LEVELS:
             row += _held(runs, level)
         row.append(", ".join(_end(run) for run in runs))
@@ -99,6 +100,13 @@ def speed(question: str) -> Table:
         header += [f"{percent(level)} held, by seed", "median (quartiles)"]
     header += ["end, %, by seed", "trained to"]
     return without_constant_columns(Table(header, rows), 3)
+
+
+def _which(seeds: Sequence[int]) -> str:
+    """Which seeds, where they are not the first ones."""
+    if list(seeds) == list(range(len(seeds))):
+        return ""
+    return f", seeds {', '.join(map(str, seeds))}"
 
 
 def _end(run: RecordedRun) -> str:
@@ -134,6 +142,7 @@ def paired(question: str, level: str = "") -> Table:
     for entry in comparisons(runs_of(question)):
         if level and round(100 * entry["level"]) != int(level):
             continue
+        seeds = [int(seed) for seed in entry["seeds"].split()]
         interval = f"{_thousands(entry['low'])} to {_thousands(entry['high'])}"
         probability = percent(entry["probability_of_improvement"])
         if entry["improvement_low"] != "":
@@ -143,7 +152,7 @@ def paired(question: str, level: str = "") -> Table:
             [
                 entry["env"].replace("_", "-"),
                 entry["algorithm"],
-                f"{entry['setting']} - {entry['baseline']}",
+                f"{entry['setting']} - {entry['baseline']}{_which(seeds)}",
                 percent(entry["level"]),
                 ", ".join(map(_difference, entry["differences"].split())),
                 f"{_thousands(entry['mean_difference'])} ({interval})",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from cgm_jax.results.statistics import first_to_hold
-from experiments.learning.plans import runs_of
+from experiments.learning.plans import read_plans, runs_of
 from experiments.learning.records import SWEEPS, recorded_runs
 from experiments.learning.setting import NO_MASKS
 from experiments.learning.tables import (
@@ -48,6 +48,16 @@ def undecided_trials() -> str:
 
 def _trials() -> list[dict[str, str]]:
     return read_table(SWEEPS.parent / "cpu_settings" / "tried.csv")
+
+
+def records_of(question: str) -> str:
+    """Links to the learning curves of a question's sweeps that are on record."""
+    sweeps = [
+        f"[{sweep}](results/sweeps/{sweep}/learning.csv)"
+        for sweep in read_plans().questions[question].sweeps
+        if recorded_runs(sweep)
+    ]
+    return ", ".join(sweeps) or "none yet"
 
 
 def held_by(sweep: str, level: str) -> str:
@@ -154,6 +164,7 @@ def standard_error(episodes: str) -> str:
 
 
 VALUES: dict[str, Callable[..., str]] = {
+    "records_of": records_of,
     "held_by": held_by,
     "sooner": sooner,
     "held_at": held_at,

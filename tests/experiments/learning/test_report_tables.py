@@ -19,7 +19,7 @@ def question(monkeypatch: pytest.MonkeyPatch) -> list[RecordedRun]:
 def test_speed_shows_every_seed_and_who_left(question: list[RecordedRun]) -> None:
     learns, never = [0.0, 0.9, 0.9, 0.9], [0.0] * 5
     question += [run(learns, 0, leave_at=0.9, epochs=5), run(never, 1, leave_at=0.9)]
-    question += [run([0.5] * 4, 0, cgm=False, leave_at=0.5, epochs=5)]
+    question += [run([0.5] * 4, 2, cgm=False, leave_at=0.5, epochs=5)]
     table = report_tables.speed("any")
     assert table.header[0] == "masks"  # task and algorithm are the same
     assert list(table.rows[0]) == [
@@ -29,7 +29,7 @@ def test_speed_shows_every_seed_and_who_left(question: list[RecordedRun]) -> Non
         *("left, 0", "5"),
     ]
     assert list(table.rows[1]) == [
-        *("no masks", "3", "3", "not trained for", "", "left", "4"),
+        *("no masks, seeds 2", "3", "3", "not trained for", "", "left", "4"),
     ]
 
 
