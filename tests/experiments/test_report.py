@@ -115,3 +115,32 @@ def test_markdown_by_hand() -> None:
     assert (counted(1, "seed"), counted(9, "seed"), counted(12, "seed")) == (
         *("one seed", "nine seeds", "12 seeds"),
     )
+
+
+def test_a_question_is_drawn_from_its_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(run, "README", tmp_path / "README.md")
+    (tmp_path / "README.md").write_text("p = <!-- value: smallest_p 3 --><!-- end -->\n")
+    monkeypatch.setattr(sys, "argv", ["run", "reach", "--draw", "--runs", str(tmp_path)])
+    run.main()
+    written = {path.name for path in (tmp_path / "results" / "reach").iterdir()}
+    assert written == {"speed.csv", "learning_curves.png"}
+    assert "0.25" in (tmp_path / "README.md").read_text()
+
+
+def test_a_record_of_other_runs_than_planned_is_refused() -> None:
+    planned = read_plans().sweeps["reach_her"]
+    assert len(run.runs_on_record("reach_her", planned)) == 1
+    with pytest.raises(ValueError, match="other runs than are planned"):
+        run.runs_on_record("reach_her", {**planned, "discount": 0.9})
+
+
+def test_a_question_without_a_record_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(records, "SWEEPS", tmp_path)
+    plans = read_plans()
+    with pytest.raises(ValueError, match="nothing is on record"):
+        run.write_results("reach", plans.questions["reach"], plans)
