@@ -1,22 +1,31 @@
 """`python -m cgm_jax.benchmark`: how far the trainer is from what the machine can do.
 
-Every figure is a ratio of two measurements of one process, taken in turn, so that a slow or
-busy machine changes both. Nothing else should run meanwhile.
+With `--against COMMIT`: how much faster or slower it is than at another commit.
+
+Every figure is a ratio of two measurements, taken in turn, so that a slow or busy machine
+changes both. Nothing else should run meanwhile.
 """
 
 import os
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.measuring.figures import Figure
 from cgm_jax.measuring.start import first_step, measure_starts
 from cgm_jax.settings import SettingError
+
+DEFAULT_SWEEP = ("--preset", "cpu", "--env", "push")
+Text = Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")]
 
 
 @dataclass(kw_only=True)
@@ -27,23 +36,82 @@ class BenchmarkOptions:
     """first-step: only start, take one training step, and exit."""
 
     repeats: int = 5
-    """Measurements per figure; the median counts."""
+    """Measurements per figure; the median counts. With --against: pairs of processes."""
+
+    against: Text = None
+    """Compare this checkout with another commit instead, by sweeps of both that run in turn."""
+
+    against_options: Text = None
+    """With --against: options for the other commit where it needs others than this one, such as
+    --against-options="--preset cpu"."""
+
+    timed_epochs: int = 6
+    """With --against: epochs timed in each process after its first."""
+
+    sweep: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="[-- OPTION ...]", help_behavior_hint=""),
+    ] = ()
+    """With --against: options of cgm_jax.sweep (default: --preset cpu --env push)."""
+
+    def check(self) -> None:
+        """Check every option that needs nothing but itself.
+
+        Raises:
+            SettingError: an option out of its range, or that needs --against.
+        """
+        least = 1 if self.against is None else 2  # an interval needs two
+        for name, low in (("repeats", least), ("timed_epochs", 1)):
+            if not low <= getattr(self, name) <= 1000:
+                raise SettingError(f"{name}: {getattr(self, name)} is not within [{low}, 1000]")
+        if self.against is None:
+            for name in ("against_options", "sweep"):
+                if getattr(self, name):
+                    raise SettingError(f"{name}: is for --against")
+        elif self.part != "all":
+            raise SettingError("part: not with --against")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(BenchmarkOptions, arguments, "python -m cgm_jax.benchmark")
-    if not 1 <= options.repeats <= 1000:
-        raise SettingError(f"repeats: {options.repeats} is not within [1, 1000]")
+    options.check()
+    if options.against is not None:
+        return _compare(options, options.against)
     if options.part == "first-step":
         prepare_jax()
         first_step()
-        return 0
+        return ExitCode.DONE
     table = Table("measured", "value", "target", title=f"{os.cpu_count()} cores")
     for figure in _measure(options.repeats):
         table.add_row(*figure.row())
     Console().print(table)
-    return 0
+    return ExitCode.DONE
+
+
+def _compare(options: BenchmarkOptions, against: str) -> int:
+    from cgm_jax.measuring.comparison import check_options, compare, parse_options
+    from cgm_jax.measuring.training_process import MeasurementError
+
+    here = there = check_options("sweep", options.sweep or DEFAULT_SWEEP)
+    if options.against_options is not None:
+        there = parse_options("against_options", options.against_options)
+    try:
+        sides, comparisons = compare(against, here, there, options.repeats, options.timed_epochs)
+    except MeasurementError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return ExitCode.FAILED
+    this, other = (side.checkout.commit for side in sides)
+    table = Table(
+        *("measured", this, other, "ratio", "95 % interval", "at most"),
+        title=f"{shlex.join(here)}, {os.cpu_count()} cores",
+        caption="training: per run and 1,000 environment steps, evaluations included; "
+        "start: with an empty compilation cache",
+    )
+    for comparison in comparisons:
+        table.add_row(*comparison.row())
+    Console().print(table)
+    return ExitCode.DONE
 
 
 def _measure(repeats: int) -> list[Figure]:
