@@ -16,6 +16,8 @@ HERE = Path(__file__).resolve().parents[2]
 
 PACKAGES = ("cgm_jax", "envs")
 PROGRAM = "cgm_jax/sweep.py"
+LIBRARIES = ("jax", "mujoco.mjx")
+"""What takes longest to read from the disk when a sweep starts."""
 
 
 @dataclass(frozen=True)
@@ -81,20 +83,24 @@ def prepare(checkout: Checkout) -> None:
     """Make starts of a checkout comparable: its bytecode compiled, libraries read from disk.
 
     Raises:
-        SettingError: Python would import other packages than the checkout's.
+        SettingError: Python cannot import the checkout's package, or imports another one.
     """
     for package in PACKAGES:
         compileall.compile_dir(checkout.root / package, quiet=2)
-    program = "import jax, mujoco.mjx, cgm_jax; print(cgm_jax.__file__)"
-    printed = subprocess.run(
+    program = f"import {', '.join([*LIBRARIES, 'cgm_jax'])}; print(cgm_jax.__file__)"
+    result = subprocess.run(
         [sys.executable, "-c", program],
         cwd=checkout.root,
         env=checkout.environment(),
         capture_output=True,
         text=True,
-        check=True,
-    ).stdout
-    imported = Path(printed.splitlines()[-1]).resolve()
+        check=False,
+        process_group=0,
+    )
+    if result.returncode:
+        said = "".join(result.stderr.strip().splitlines()[-1:])
+        raise SettingError(f"against: {checkout.commit} cannot be imported: {said}")
+    imported = Path(result.stdout.splitlines()[-1]).resolve()
     if not imported.is_relative_to(checkout.root.resolve()):
         raise SettingError(f"against: Python imports {imported} in place of {checkout.root}")
 

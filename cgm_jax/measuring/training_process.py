@@ -102,9 +102,7 @@ class TrainingProcess:
         if self._epoch:
             self._resumed = time.monotonic()
             os.killpg(self._process.pid, signal.SIGCONT)
-        while (row := self._last_row())["epoch"] <= self._epoch:
-            self._require_running(row["epoch"] < self._epoch)
-            time.sleep(POLL_SECONDS)
+        row = self._wait_for_row()
         wall_s, cpu_s = self._pause()
         cost = Cost(wall_s, cpu_s - self._cpu_s, row["env_steps"] - self._env_steps)
         self._epoch, self._env_steps, self._cpu_s = row["epoch"], row["env_steps"], cpu_s
@@ -144,15 +142,22 @@ class TrainingProcess:
             )
         raise MeasurementError(f"{where} ended with exit code {code}: {''.join(said)}")
 
-    def _last_row(self) -> dict[str, Any]:
-        return (self._rows() or [{"epoch": 0, "env_steps": 0}])[-1]
+    def _wait_for_row(self) -> dict[str, Any]:
+        """The last row of metrics.jsonl, once it is of a further epoch."""
+        seen = 0
+        while True:
+            self._require_running()
+            size = self._metrics.stat().st_size if self._metrics.exists() else 0
+            if size != seen and (rows := self._rows()):
+                if rows[-1]["epoch"] > self._epoch:
+                    return rows[-1]
+                self._require_running(rows[-1]["epoch"] < self._epoch)
+            seen = size
+            time.sleep(POLL_SECONDS)
 
     def _rows(self) -> list[dict[str, Any]]:
         """All whole lines of metrics.jsonl."""
-        try:
-            lines = self._metrics.read_text().splitlines(keepends=True)
-        except FileNotFoundError:
-            return []
+        lines = self._metrics.read_text().splitlines(keepends=True)
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
 
