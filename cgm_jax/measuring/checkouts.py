@@ -73,7 +73,7 @@ def worktree(root: Path, commit: str, path: Path) -> Iterator[Checkout]:
         SettingError: git cannot make it.
     """
     try:
-        _ask(root, "-c", "core.hooksPath=/dev/null", "worktree", "add", "-d", str(path), commit)
+        _ask(root, "worktree", "add", "--detach", str(path), commit)
         yield Checkout(path, commit)
     finally:
         _git(root, "worktree", "remove", "--force", "--force", str(path))
@@ -120,7 +120,7 @@ def _ask(root: Path, *arguments: str) -> str:
 def _git(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(
-            ["git", "-C", str(root), *arguments],
+            ["git", "-C", str(root), "-c", "core.hooksPath=/dev/null", *arguments],
             capture_output=True,
             text=True,
             check=False,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.measuring.checkouts import Checkout
@@ -43,8 +43,9 @@ class TrainingProcess:
     """A sweep of a checkout, from its start to the end of the block.
 
     Between two calls of `train_epoch` the process is paused, so that another one can have the
-    machine. It compiles everything anew. Known of the checkout are only its command line and
-    `epoch` and `env_steps` in metrics.jsonl.
+    machine; its memory stays. Its own clock runs on meanwhile, so time is taken here instead of
+    from `wall_s`. It compiles everything anew. Known of the checkout are only its command line
+    and `epoch` and `env_steps` in metrics.jsonl.
     """
 
     def __init__(self, checkout: Checkout, options: Sequence[str], directory: Path) -> None:
@@ -92,11 +93,11 @@ class TrainingProcess:
     def train_epoch(self) -> Cost:
         """Run until a further epoch is in metrics.jsonl, then pause.
 
-        The first call includes the start. An epoch that is over before it is noticed counts
-        with the next.
+        The first call includes the start. Epochs that are over before the first is noticed
+        count as one.
 
         Raises:
-            MeasurementError: the process has ended.
+            MeasurementError: there are no further epochs, or the process has failed.
             SettingError: it has refused its options.
         """
         if self._epoch:
@@ -122,38 +123,36 @@ class TrainingProcess:
             if state == "T":
                 return wall_s, cpu_s
             if state == "Z":
-                self._process.wait()
-                self._require_running()
+                self._give_up(self._process.wait())
             time.sleep(POLL_SECONDS / 10)
-
-    def _require_running(self, began_again: bool = False) -> None:
-        code = self._process.poll()
-        if code is None and not began_again:
-            return
-        said = (self._directory / "stderr").read_text().strip().splitlines()[-1:]
-        command = " ".join(["cgm_jax.sweep", *self._options])
-        where = f"{command} at {self._checkout.commit}"
-        if code == ExitCode.BAD_INPUT:
-            raise SettingError(f"options: {where}: {''.join(said).removeprefix('error: ')}")
-        if code in (None, ExitCode.DONE):
-            raise MeasurementError(
-                f"{where} trains its runs side by side for {self._epoch} epochs only; "
-                "give it more --epochs, or time fewer"
-            )
-        raise MeasurementError(f"{where} ended with exit code {code}: {''.join(said)}")
 
     def _wait_for_row(self) -> dict[str, Any]:
         """The last row of metrics.jsonl, once it is of a further epoch."""
         seen = 0
         while True:
-            self._require_running()
+            if (code := self._process.poll()) is not None:
+                self._give_up(code)
             size = self._metrics.stat().st_size if self._metrics.exists() else 0
             if size != seen and (rows := self._rows()):
                 if rows[-1]["epoch"] > self._epoch:
                     return rows[-1]
-                self._require_running(rows[-1]["epoch"] < self._epoch)
+                if rows[-1]["epoch"] < self._epoch:  # it has gone on to other runs
+                    self._give_up(ExitCode.DONE)
             seen = size
             time.sleep(POLL_SECONDS)
+
+    def _give_up(self, code: int) -> NoReturn:
+        """Say why there are no further epochs of the same runs."""
+        said = "".join((self._directory / "stderr").read_text().strip().splitlines()[-1:])
+        where = f"{' '.join(['cgm_jax.sweep', *self._options])} at {self._checkout.commit}"
+        if code == ExitCode.BAD_INPUT:
+            raise SettingError(f"options: {where}: {said.removeprefix('error: ')}")
+        if code == ExitCode.DONE:
+            raise MeasurementError(
+                f"{where} trains its runs side by side for {self._epoch} epochs only; "
+                "give it more --epochs, or time fewer"
+            )
+        raise MeasurementError(f"{where} ended with exit code {code}: {said}")
 
     def _rows(self) -> list[dict[str, Any]]:
         """All whole lines of metrics.jsonl."""
