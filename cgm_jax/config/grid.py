@@ -16,7 +16,7 @@ from typing import Any
 import jax
 
 from cgm_jax.config.components import ROOMS, component
-from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts
+from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
 from cgm_jax.config.named import absolute
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
@@ -55,6 +55,10 @@ class Group:
 
     settings: Settings
     runs: tuple[Run, ...]
+
+    def hyper(self) -> Hyperparameters:
+        """Settings of all runs, every leaf [runs]."""
+        return stack([run.hyper for run in self.runs])
 
 
 def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Group]:
