@@ -17,12 +17,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.measuring.figures import Figure
 from cgm_jax.measuring.start import first_step, measure_starts
-from cgm_jax.config.fields import SettingError
 
 DEFAULT_SWEEP = ("--preset", "cpu", "--env", "push")
 Text = Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")]

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.measuring.checkouts import Checkout, find_commit, prepare, this_checkout, worktree
 from cgm_jax.measuring.ratios import Ratio, paired_ratio
 from cgm_jax.measuring.training_process import Cost, MeasurementError, TrainingProcess
 from cgm_jax.measuring.unwinding import Unwinding
-from cgm_jax.config.fields import SettingError
 
 TRAINING_BOUND = 1.03
 START_BOUND = 1.10

@@ -8,8 +8,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from cgm_jax import envs
-from cgm_jax.measuring.figures import Figure, medians
 from cgm_jax.envs.physics.native import SENSOR_STAGE, available_cores
+from cgm_jax.measuring.figures import Figure, medians
 
 
 def measure_rollouts(repeats: int) -> list[Figure]:

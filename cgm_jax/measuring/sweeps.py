@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 
 import jax
 
-from cgm_jax.loop.environment import make_environment
 from cgm_jax.config.fields import stack
 from cgm_jax.config.grid import Run
+from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.training import compilations, make_programs, make_trainer
 from cgm_jax.measuring.figures import Figure, medians
 from cgm_jax.measuring.workload import cpu_group
-from cgm_jax.loop.training import compilations, make_programs, make_trainer
 
 
 def measure_sweep(repeats: int) -> list[Figure]:

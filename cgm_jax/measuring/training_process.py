@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.measuring.checkouts import Checkout
-from cgm_jax.config.fields import SettingError
 
 POLL_SECONDS = 0.005
 TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")

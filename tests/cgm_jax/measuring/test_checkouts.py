@@ -3,9 +3,9 @@ from pathlib import Path
 import pytest
 
 from cgm_jax import benchmark
+from cgm_jax.config.fields import SettingError
 from cgm_jax.measuring import checkouts
 from cgm_jax.measuring.checkouts import find_commit, prepare, this_checkout, worktree
-from cgm_jax.config.fields import SettingError
 from tests.cgm_jax.measuring.stand_in import commit, git, write_checkout
 
 

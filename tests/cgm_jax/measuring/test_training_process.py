@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.measuring.checkouts import Checkout
 from cgm_jax.measuring.training_process import (
     MeasurementError,
     TrainingProcess,
     process_times,
 )
-from cgm_jax.config.fields import SettingError
 from tests.cgm_jax.measuring.stand_in import write_checkout
 
 TOLERANCE = 0.05

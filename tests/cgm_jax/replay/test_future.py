@@ -2,8 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from cgm_jax.replay.relabelling import LEAST_MOTION, Transitions, sample_transitions
+
 from cgm_jax.replay.ring import Episodes, Replay, empty_replay, insert
 
 EPISODES, LENGTH, GOAL = 5, 10, 3
