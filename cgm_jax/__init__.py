@@ -29,11 +29,11 @@ Programs: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.evaluate` and 
 they do around training is in host/, what they make of results in report/.
 
 Environments live in the package `envs`; this one knows them only through
-`envs.GoalEnvironment`. Importing the package registers the Fetch tasks with Gymnasium
-(gymnasium_names.py).
+`envs.GoalEnvironment`. Importing the package registers the Fetch tasks with Gymnasium; what other
+libraries use is in gymnasium/.
 """
 
-from cgm_jax.gymnasium_names import register_fetch as _register_fetch
+from cgm_jax.gymnasium.registration import register_fetch as _register_fetch
 
 _register_fetch()
 
