@@ -25,8 +25,8 @@ test: lint
 test-slow: setup
 	$(RUN) -m pytest -m slow $(ARGS)
 
-# Stable-Baselines3 takes PyTorch, which is large, and so has an environment of its own. One thread:
-# the networks are small, and on a busy machine threads that wait for each other take ten times as long.
+# Stable-Baselines3 takes PyTorch, which is large, and so has an environment of its own. The networks
+# are small: more threads than one would wait for each other most of the time.
 test-sb3: $(VENV)-sb3/.installed
 	OMP_NUM_THREADS=1 $(VENV)-sb3/bin/python -m pytest tests/envs/test_stable_baselines3.py \
 	    tests/cgm_jax/gymnasium/test_stable_baselines3.py $(ARGS)
