@@ -80,7 +80,7 @@ def test_rows_are_single_environments_also_after_autoreset(evaluating: bool) -> 
 
 
 def test_where_its_user_resets_only_those_rows_get_new_masks() -> None:
-    many, ones = vector(AutoresetMode.DISABLED), singles()
+    many, ones = vector(AutoresetMode.DISABLED, kappa=0.0), singles(kappa=0.0)
     many.reset(seed=0)
     rows = [env.reset(seed=i)[0] for i, env in enumerate(ones)]
     for step in range(1, 4):
@@ -89,12 +89,17 @@ def test_where_its_user_resets_only_those_rows_get_new_masks() -> None:
         rows = [env.step(action)[0] for env, action in zip(ones, actions, strict=True)]
         assert_rows(observations, rows)
         chosen = np.array([step == 1, True, False])
-        observations, infos = many.reset(options={"reset_mask": chosen})
+        observations, infos = many.reset(seed=40 * step, options={"reset_mask": chosen})
         for i in np.flatnonzero(chosen):
-            rows[i], info = ones[i].reset()
+            rows[i], info = ones[i].reset(seed=40 * step + int(i))
             np.testing.assert_array_equal(infos["mask"][i], info["mask"])
         np.testing.assert_array_equal(infos["_mask"], chosen)
         assert_rows(observations, rows)
+    for _ in range(10):  # rows that were not reset have not taken the seed either
+        observations, infos = many.reset()
+        rows, row_infos = zip(*[env.reset() for env in ones], strict=True)
+        assert_rows(observations, list(rows))
+        np.testing.assert_array_equal(infos["mask"], [info["mask"] for info in row_infos])
 
 
 def test_masks_can_be_chosen_for_all_rows_or_for_each() -> None:
