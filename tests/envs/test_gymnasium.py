@@ -15,7 +15,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import cgm_jax  # noqa: F401 -- registers the environments
-from envs.gymnasium_vector import FetchVector
+from envs.gymnasium.vector import FetchVector
 from tests.envs.surface import can_render
 
 NAMES = ("FetchReach", "FetchPush", "FetchPickAndPlace")

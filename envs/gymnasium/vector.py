@@ -13,7 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from envs.gymnasium_fetch import (
+from envs.gymnasium.fetch import (
     METADATA,
     Observation,
     action_space,

@@ -1,7 +1,7 @@
 """The Fetch tasks as Gymnasium environments, with the conventions of Gymnasium-Robotics.
 
 `import cgm_jax` registers them as cgm_jax/FetchReach-v0, cgm_jax/FetchPush-v0 and
-cgm_jax/FetchPickAndPlace-v0. gymnasium_vector.py holds the batched version.
+cgm_jax/FetchPickAndPlace-v0. vector.py holds the batched version.
 """
 
 # Brax types the parts of its State as unknown.
