@@ -5,18 +5,23 @@ from typing import Any
 
 from envs.fetch import FetchEnvironment
 from envs.physics.choose import ENGINES, start_engine
+from envs.physics.deferred import DeferredPhysics
 from envs.scene import load_scene
 from envs.tasks import TASKS
 
 __all__ = ["ENGINES", "TASKS", "make"]
 
 
-def make(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
+def make(
+    name: str, engine: str = "auto", *, deferred: bool = False, **fields: Any
+) -> FetchEnvironment:
     """Make a Fetch environment.
 
     Args:
         name: "reach", "push" or "pick_and_place".
         engine: "native" (C MuJoCo, CPU), "mjx" (JAX), "warp" (NVIDIA GPU), or "auto".
+        deferred: starts the engine, and with it JAX, at its first use instead of now. What
+            the engine finds wrong with JAX's device is then said there.
         **fields: fields of `FetchEnvironment` other than its defaults, such as
             `air_probability=0.5` for Gymnasium-Robotics' pick-and-place goals.
 
@@ -34,4 +39,5 @@ def make(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
         raise ValueError(f"air_probability: the object of {name} cannot be lifted into the air")
     scene = load_scene(task)
     fields.setdefault("air_probability", task.air_probability)
-    return FetchEnvironment(task, scene, start_engine(engine, scene), **fields)
+    physics = DeferredPhysics(engine, scene) if deferred else start_engine(engine, scene)
+    return FetchEnvironment(task, scene, physics, **fields)
