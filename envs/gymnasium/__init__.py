@@ -1,5 +1,12 @@
 """The Fetch tasks for other libraries, with the conventions of Gymnasium-Robotics.
 
-fetch.py    one environment: `gymnasium.make("cgm_jax/FetchPush-v0")`
-vector.py   a batch of them: `gymnasium.make_vec("cgm_jax/FetchPush-v0", num_envs=64)`
+fetch.py         one environment: `gymnasium.make("cgm_jax/FetchPush-v0")`
+vector.py        a batch of them: `gymnasium.make_vec("cgm_jax/FetchPush-v0", num_envs=64)`
+arguments.py     what callers may pass to either; everything else is refused by name
+spaces.py        spaces of observations and actions; from states to observations
+goals.py         rewards and ends of episodes, from goals
+programs.py      the compiled functions that both call, once per process
+forking.py       says so where a fork would make JAX hang
+frames.py        rendered frames
+mujoco_copy.py   the simulation as MuJoCo's own model and data
 """

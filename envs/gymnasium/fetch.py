@@ -4,139 +4,30 @@
 cgm_jax/FetchPickAndPlace-v0. vector.py holds the batched version.
 """
 
-# Brax types the parts of its State as unknown.
-# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
-# pyright: reportGeneralTypeIssues=false, reportArgumentType=false
+# mujoco's compiled modules come without stubs, Gymnasium's spaces are not those of its typing.
+# pyright: reportAttributeAccessIssue=false
 
-import functools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import jax
-import jax.numpy as jnp
+import mujoco
 import numpy as np
 from brax.envs.base import State
-from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 
 from envs.fetch import FetchEnvironment
-from envs.make import make
-from envs.rendering import FRAMES_PER_SECOND, Renderer
-
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_SECOND}
-
-GREATEST_OBSERVATION = 1000.0
-"""Bound of the observation space: metres, radians, metres per control step. A robot's reach
-and a falling block stay far below; what lies beyond is broken physics."""
-
-Observation = dict[str, np.ndarray]
-Information = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class FetchPrograms:
-    """One Fetch environment with its compiled functions.
-
-    Attributes:
-        env: the environment.
-        reset: from a seed, a uint32 scalar, to a state.
-        step: from a state and an action [4] to the next state.
-        reset_many: the same for seeds [n].
-        step_many: the same for n states and actions [n, 4].
-        select: from a condition [n] and two batches of states to one, row by row.
-    """
-
-    env: FetchEnvironment
-    reset: Callable[[np.uint32], State]
-    step: Callable[[State, np.ndarray], State]
-    reset_many: Callable[[np.ndarray], State]
-    step_many: Callable[[State, np.ndarray], State]
-    select: Callable[[np.ndarray, State, State], State]
-
-
-@functools.cache
-def fetch_programs(task: str, engine: str, **fields: float) -> FetchPrograms:
-    """Make an environment and its programs, once per process and set of arguments.
-
-    Each program compiles at its first call, for all instances together.
-
-    Raises:
-        ValueError: as `envs.make`.
-    """
-    env = make(task, engine, **fields)
-
-    def reset(seed: jax.Array) -> State:
-        return env.reset(jax.random.key(seed))
-
-    def select(condition: jax.Array, yes: State, no: State) -> State:
-        choose = jax.vmap(lambda chosen, x, y: jnp.where(chosen, x, y))
-        return jax.tree.map(lambda x, y: choose(condition, x, y), yes, no)
-
-    return FetchPrograms(
-        env=env,
-        reset=jax.jit(reset),
-        step=jax.jit(env.step),
-        reset_many=jax.jit(jax.vmap(reset)),
-        step_many=jax.jit(jax.vmap(env.step)),
-        select=jax.jit(select),
-    )
-
-
-def observation_space(env: FetchEnvironment) -> spaces.Dict:
-    """The space of `env`'s observations, float64 as in Gymnasium-Robotics."""
-    limit = GREATEST_OBSERVATION
-    return spaces.Dict(
-        {
-            name: spaces.Box(-limit, limit, (size,), np.float64)
-            for name, size in env.observation_size.items()
-        }
-    )
-
-
-def action_space(env: FetchEnvironment) -> spaces.Box:
-    """The space of `env`'s actions."""
-    return spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
-
-
-def observation_of(state: State) -> Observation:
-    """The observation of a state or a batch of states."""
-    return {name: np.asarray(value, np.float64) for name, value in state.obs.items()}
-
-
-def draw_seed(generator: np.random.Generator) -> np.uint32:
-    """A seed for `FetchPrograms.reset`, a uint32 scalar."""
-    return generator.integers(2**32, dtype=np.uint32)
-
-
-def is_achieved(
-    achieved_goal: np.ndarray, desired_goal: np.ndarray, threshold: float
-) -> np.ndarray | np.bool_:
-    """Whether goals [..., 3] are achieved, [...]."""
-    offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
-    return np.linalg.norm(offset, axis=-1) < threshold
-
-
-def sparse_reward(
-    achieved_goal: np.ndarray, desired_goal: np.ndarray, threshold: float
-) -> np.ndarray | np.float64:
-    """0 where goals [..., 3] are achieved, -1 elsewhere, [...] float64."""
-    return np.where(is_achieved(achieved_goal, desired_goal, threshold), 0.0, -1.0)[()]
-
-
-def make_renderer(env: FetchEnvironment, width: int, height: int) -> Renderer:
-    """A renderer for `env`, which opens a drawing surface."""
-    return Renderer(env.scene, env.distance_threshold, width, height)
-
-
-def check_render_mode(mode: str | None) -> None:
-    """Check a render mode.
-
-    Raises:
-        ValueError: it is neither None nor "rgb_array".
-    """
-    if mode not in (None, *METADATA["render_modes"]):
-        raise ValueError(f"render_mode: {mode!r} is neither None nor 'rgb_array'")
+from envs.gymnasium.arguments import (
+    METADATA,
+    check_options,
+    check_render_mode,
+    checked_action,
+)
+from envs.gymnasium.frames import Frames, warn_without_render_mode
+from envs.gymnasium.goals import is_achieved, physics_broke, sparse_reward
+from envs.gymnasium.mujoco_copy import MuJoCoCopy
+from envs.gymnasium.programs import draw_seed, fetch_programs
+from envs.gymnasium.spaces import Observation, action_space, observation_of, observation_space
 
 
 class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
@@ -145,10 +36,12 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
     Episodes do not terminate; Gymnasium's TimeLimit ends them after 50 steps. One whose physics
     breaks is truncated at once, with `info["physics_warnings"]` above 0.
 
+    It can be copied, pickled and sent to other processes, at any point of an episode: the copy
+    continues with the same states and random numbers. After `close` it may be used again.
+
     Attributes:
         state: the present state of the functional environment, None before the first reset.
             May be replaced, by one of `fetch.reset_to` for instance.
-        fetch: the functional environment.
     """
 
     metadata = METADATA
@@ -163,39 +56,60 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
         height: int = 480,
         **fields: float,
     ) -> None:
-        """Make the environment; nothing compiles before the first reset.
+        """Make the environment; nothing of JAX runs or compiles before the first reset.
 
         Args:
             task: "reach", "push" or "pick_and_place".
             engine: as for `envs.make`; `native` needs JAX on a CPU.
-            render_mode: "rgb_array", or None to do without pictures.
-            width: of the pictures, pixels.
-            height: of the pictures, pixels.
+            render_mode: "rgb_array", or None to do without frames.
+            width: of the frames, pixels.
+            height: of the frames, pixels.
             **fields: `air_probability`, `distance_threshold` in metres.
 
         Raises:
-            ValueError: an argument out of its range.
+            TypeError: an argument of another type.
+            ValueError: an argument out of its range, or of no use.
         """
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self._programs = fetch_programs(task, engine, **fields)
-        self.fetch = self._programs.env
         self.observation_space = observation_space(self.fetch)
         self.action_space = action_space(self.fetch)
         self.state: State | None = None
-        self._size, self._renderer = (width, height), None
+        self._frames = Frames(self._programs, width, height)
+        self._mujoco = MuJoCoCopy(self._programs)
+
+    @property
+    def fetch(self) -> FetchEnvironment:
+        """The functional environment."""
+        return self._programs.env
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; `seed` decides its start and goal and those of later episodes."""
-        super().reset(seed=seed, options=options)
-        self.state = self._programs.reset(draw_seed(self.np_random))
+        """Start an episode; `seed` decides its start and goal and those of later episodes.
+
+        Raises:
+            TypeError: options that are no dict.
+            ValueError: any option, since none has an effect.
+        """
+        programs = self._programs.started()
+        check_options(options)
+        super().reset(seed=seed)
+        self.state = programs.reset(draw_seed(self.np_random))
+        self._mujoco.follow(self.state)
         return observation_of(self.state), {}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step of 0.04 s with `action` [4] in [-1, 1]."""
-        self.state = self._programs.step(self.state, np.asarray(action, np.float32))
+        """Advance by one control step of 0.04 s with `action` [4], clipped to [-1, 1].
+
+        Raises:
+            ResetNeeded: before the first reset.
+            ValueError: an action of another shape, or not finite.
+        """
+        programs, before = self._programs.started(), self._state_for("step")
+        self.state = programs.step(before, checked_action(action, (self.fetch.action_size,)))
+        self._mujoco.follow(self.state)
         observation = observation_of(self.state)
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
         info = {
@@ -217,37 +131,57 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
         return sparse_reward(achieved_goal, desired_goal, self.fetch.distance_threshold)
 
     def compute_terminated(
-        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Information
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any
     ) -> bool:
         """False: the task goes on after the goal is achieved."""
         return False
 
     def compute_truncated(
-        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Information
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any
     ) -> bool:
-        """Whether the physics broke; the TimeLimit is the wrapper's."""
-        return info.get("physics_warnings", 0) > 0
+        """Whether `info` tells of broken physics; the TimeLimit is the wrapper's."""
+        return physics_broke(info)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model of the scene, a copy to be read."""
+        return self._mujoco.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data of the present state, a copy to be read, which each step renews."""
+        data = self._mujoco.data
+        self._mujoco.follow(self.state)
+        return data
+
+    @property
+    def initial_qpos(self) -> np.ndarray:
+        """Generalised positions [nq] from which episodes start, but for the object's place."""
+        return self.fetch.scene.home.astype(np.float32).astype(float)  # as the engines start
+
+    @property
+    def initial_qvel(self) -> np.ndarray:
+        """Generalised velocities [nv] at the start of episodes: at rest."""
+        return np.zeros(self.fetch.scene.model.nv)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """A picture [height, width, 3] uint8, the goal green where it is achieved.
+        """A frame [height, width, 3] uint8, the goal green where it is achieved.
 
         Raises:
             RenderingError: this machine cannot render.
+            ResetNeeded: before the first reset.
         """
         if self.render_mode is None:
+            warn_without_render_mode(self.spec.id if self.spec else type(self).__name__)
             return None
-        assert self.state is not None, "call reset before render"
-        if self._renderer is None:
-            self._renderer = make_renderer(self.fetch, *self._size)
-        achieved, desired = (self.state.obs[name] for name in ("achieved_goal", "desired_goal"))
-        return self._renderer.frame(
-            self.fetch.physics.positions(self.state.pipeline_state),
-            desired,
-            achieved=bool(is_achieved(achieved, desired, self.fetch.distance_threshold)),
-        )
+        state = jax.tree.map(lambda leaf: leaf[None], self._state_for("render"))
+        return next(self._frames.draw(state))
 
     def close(self) -> None:
-        """Free what rendering took."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        """Free what rendering took. Any number of times."""
+        self._frames.close()
+
+    def _state_for(self, purpose: str) -> State:
+        if self.state is None:
+            raise ResetNeeded(f"call reset before {purpose}")
+        return self.state
