@@ -11,6 +11,7 @@ Fig. 1). Red means not achieved, green achieved.
 # pyright: reportAttributeAccessIssue=false
 
 import atexit
+import numbers
 import os
 import platform
 import weakref
@@ -225,7 +226,7 @@ def check_size(scene: Scene, width: int, height: int) -> None:
         ("width", width, limits.offwidth),
         ("height", height, limits.offheight),
     ):
-        if not isinstance(size, int):
+        if not isinstance(size, numbers.Integral):
             raise TypeError(f"{name}: {size!r} is no integer")
         if not 1 <= size <= limit:
             raise ValueError(f"{name}: {size} is not within [1, {limit}]")

@@ -1,6 +1,9 @@
 """Rendered frames of an environment's states."""
 
-from collections.abc import Iterable, Iterator
+# Brax types the parts of its State as unknown.
+# pyright: reportArgumentType=false
+
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -39,14 +42,9 @@ class Frames:
         observation = observation_of(states)
         desired = observation["desired_goal"]
         achieved = is_achieved(observation["achieved_goal"], desired, env.distance_threshold)
-        rows: Iterable[Any] = zip(
-            env.physics.positions(states.pipeline_state),  # pyright: ignore[reportArgumentType]
-            desired,
-            np.atleast_1d(achieved),
-            strict=True,
-        )
-        for positions, goal, reached in rows:
-            yield self._renderer.frame(positions, goal, achieved=bool(reached))
+        rows = env.physics.positions(states.pipeline_state)
+        for row, goal, reached in zip(rows, desired, np.atleast_1d(achieved), strict=True):
+            yield self._renderer.frame(row, goal, achieved=bool(reached))
 
     def close(self) -> None:
         """Free what drawing took. Any number of times."""

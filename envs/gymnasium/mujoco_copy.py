@@ -1,7 +1,7 @@
 """The simulation as MuJoCo's own model and data, for code written against Gymnasium-Robotics."""
 
-# mujoco's compiled modules come without stubs.
-# pyright: reportAttributeAccessIssue=false
+# mujoco's compiled modules come without stubs; Brax types the parts of its State as unknown.
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 
 import copy
 import functools
@@ -43,7 +43,7 @@ class MuJoCoCopy:
         if "data" not in self.__dict__ or state is None or state is self._shown:
             return
         physics = self._programs.env.physics
-        physics.copy_to_mujoco(state.pipeline_state, self.data)  # pyright: ignore
+        physics.copy_to_mujoco(state.pipeline_state, self.data)
         mujoco.mj_forward(self.model, self.data)
         self._shown = state
 

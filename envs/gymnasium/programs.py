@@ -50,9 +50,8 @@ class FetchPrograms:
             ValueError: the engine cannot run on JAX's device.
         """
         check_not_forked()
-        physics = self.env.physics
-        assert isinstance(physics, DeferredPhysics)
-        physics.engine  # noqa: B018 -- before anything is traced
+        if isinstance(self.env.physics, DeferredPhysics):
+            self.env.physics.begin()
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -90,12 +90,12 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
         return self._programs.env
 
     @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The random number generator of each row."""
         return tuple(generator for generator, _ in self._row_randomness())
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore
+    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The seed that each row's generator was last started with."""
         return tuple(seed for _, seed in self._row_randomness())
 

@@ -31,27 +31,30 @@ class DeferredPhysics:
         check_engine(name)
         self._name, self._scene = name, scene
 
-    @functools.cached_property
-    def engine(self) -> Physics:
-        """The engine itself. Access it before anything is traced: `mjx` sets flags of XLA.
+    def begin(self) -> None:
+        """Start the engine, unless it has been. To be called before anything is traced.
 
         Raises:
             ValueError: it cannot run on JAX's device.
         """
+        _ = self._engine
+
+    @functools.cached_property
+    def _engine(self) -> Physics:
         return start_engine(self._name, self._scene)
 
     def start(self, positions: jax.Array) -> PhysicsState:
         """A simulation at rest at the generalised positions [nq]."""
-        return self.engine.start(positions)
+        return self._engine.start(positions)
 
     def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
         """Pursue the target for one control step (0.04 s)."""
-        return self.engine.advance(state, target)
+        return self._engine.advance(state, target)
 
     def positions(self, state: PhysicsState) -> np.ndarray:
         """Generalised positions [..., nq] of concrete states."""
-        return self.engine.positions(state)
+        return self._engine.positions(state)
 
     def copy_to_mujoco(self, state: PhysicsState, data: mujoco.MjData) -> None:
         """Put one concrete state into MuJoCo's own data."""
-        self.engine.copy_to_mujoco(state, data)
+        self._engine.copy_to_mujoco(state, data)
