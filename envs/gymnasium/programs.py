@@ -13,7 +13,7 @@ from brax.envs.base import State
 from envs.fetch import FetchEnvironment
 from envs.gymnasium.arguments import check_fields
 from envs.gymnasium.forking import check_not_forked
-from envs.make import make
+from envs.make import make_deferred
 from envs.physics.deferred import DeferredPhysics
 
 
@@ -73,7 +73,7 @@ def fetch_programs(task: str, engine: str, **fields: float) -> FetchPrograms:
 
 @functools.cache
 def _programs(task: str, engine: str, fields: tuple[tuple[str, float], ...]) -> FetchPrograms:
-    env = make(task, engine, deferred=True, **dict(fields))
+    env = make_deferred(task, engine, **dict(fields))
 
     def reset(seed: jax.Array) -> State:
         return env.reset(jax.random.key(seed))

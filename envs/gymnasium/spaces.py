@@ -30,5 +30,5 @@ def action_space(env: FetchEnvironment) -> spaces.Box:
 
 
 def observation_of(state: State) -> Observation:
-    """The observation of a state or a batch of states."""
-    return {name: np.asarray(value, np.float64) for name, value in dict(state.obs).items()}
+    """The observation of a state or a batch of states, in arrays of the caller's own."""
+    return {name: np.array(value, np.float64) for name, value in dict(state.obs).items()}

@@ -50,6 +50,35 @@ def run(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@can_fork
+def test_jax_starts_with_the_first_reset_and_a_fork_after_it_is_refused() -> None:
+    program = """
+import os
+import cgm_jax, gymnasium
+
+env = gymnasium.make("cgm_jax/FetchReach-v0")
+env.unwrapped.data  # MuJoCo's, without JAX
+
+def in_a_child() -> int:
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    try:
+        env.reset(seed=0)
+    except RuntimeError as error:
+        os._exit(3 if "spawn" in str(error) else 4)
+    os._exit(0)
+
+print(in_a_child())
+env.reset(seed=0)
+print(in_a_child())
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120
+    )
+    assert result.stdout.split() == ["0", "3"], result.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("context", multiprocessing.get_all_start_methods())
 def test_async_environments_work_however_their_processes_start(
