@@ -17,16 +17,13 @@ from brax.envs.base import State
 from gymnasium.error import ResetNeeded
 
 from envs.fetch import FetchEnvironment
-from envs.gymnasium.arguments import (
-    METADATA,
-    check_options,
-    check_render_mode,
-    checked_action,
-)
+from envs.gymnasium.actions import checked_action
+from envs.gymnasium.arguments import METADATA, check_render_mode
 from envs.gymnasium.frames import Frames, warn_without_render_mode
 from envs.gymnasium.goals import is_achieved, physics_broke, sparse_reward
 from envs.gymnasium.mujoco_copy import MuJoCoCopy
 from envs.gymnasium.programs import draw_seed, fetch_programs
+from envs.gymnasium.resets import check_options
 from envs.gymnasium.spaces import Observation, action_space, observation_of, observation_space
 
 

@@ -11,18 +11,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from envs.fetch import FetchEnvironment
-from envs.gymnasium.arguments import (
-    METADATA,
-    check_render_mode,
-    checked_action,
-    row_count,
-    row_seeds,
-    rows_to_reset,
-    step_limit,
-)
+from envs.gymnasium.actions import checked_action
+from envs.gymnasium.arguments import METADATA, check_render_mode, row_count, step_limit
 from envs.gymnasium.frames import Frames, warn_without_render_mode
 from envs.gymnasium.goals import is_achieved, sparse_reward
 from envs.gymnasium.programs import FetchPrograms, draw_seed, fetch_programs
+from envs.gymnasium.resets import row_seeds, rows_to_reset
 from envs.gymnasium.spaces import Observation, action_space, observation_of, observation_space
 
 VECTOR_METADATA = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -147,9 +141,8 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
         programs, before = self._usable_programs(), self._state_for("step")
         restarted = self._ended
         shape = (self.num_envs, self.fetch.action_size)
-        self.state = self._advance(
-            programs, before, checked_action(actions, shape, ~restarted), restarted
-        )
+        checked = checked_action(actions, shape, unused=restarted)
+        self.state = self._advance(programs, before, checked, restarted)
         observation = observation_of(self.state)
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
         warnings = np.asarray(self.state.metrics["physics_warnings"]).astype(int)

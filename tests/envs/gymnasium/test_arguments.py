@@ -45,7 +45,7 @@ BAD_ACTIONS = [
     ([None, None, None, None], "no real numbers"),
     (np.zeros(4, complex), "no real numbers"),
     (np.zeros(4, bool), "no real numbers"),
-    ([0, NAN, 0, 0], "not finite"),
+    ([0, NAN, 0, 0], r"nan at \[1\] is not finite"),
     ([0, 0, 0, -INF], "not finite"),
 ]
 
@@ -97,7 +97,7 @@ def test_an_action_is_any_four_numbers_and_is_clipped(action: Any) -> None:
         (np.zeros(4), r"shape \(4,\) is not \(2, 4\)"),
         (np.zeros((2, 4, 1)), r"shape \(2, 4, 1\) is not \(2, 4\)"),
         ([[0, 0, 0, 0], [0, 0, 0]], r"no array of shape \(2, 4\)"),
-        ([[0, 0, 0, 0], [0, NAN, 0, 0]], "not finite"),
+        ([[0, 0, 0, 0], [0, NAN, 0, 0]], r"nan at \[1, 1\] is not finite"),
         (np.zeros((2, 4), object), "no real numbers"),
     ],
 )
