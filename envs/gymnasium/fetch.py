@@ -87,6 +87,8 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
         """Start an episode; `seed` decides its start and goal and those of later episodes.
 
         Raises:
+            Error: a seed that is no integer, or below 0.
+            RuntimeError: JAX would hang, since this process was forked after it had started.
             TypeError: options that are no dict.
             ValueError: any option, since none has an effect.
         """
@@ -102,6 +104,7 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
 
         Raises:
             ResetNeeded: before the first reset.
+            RuntimeError: as `reset`.
             ValueError: an action of another shape, or not finite.
         """
         programs, before = self._programs.started(), self._state_for("step")
@@ -171,7 +174,7 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
         if self.render_mode is None:
             warn_without_render_mode(self.spec.id if self.spec else type(self).__name__)
             return None
-        state = jax.tree.map(lambda leaf: leaf[None], self._state_for("render"))
+        state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], self._state_for("render"))
         return next(self._frames.draw(state))
 
     def close(self) -> None:

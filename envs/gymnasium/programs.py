@@ -14,6 +14,7 @@ from envs.fetch import FetchEnvironment
 from envs.gymnasium.arguments import check_fields
 from envs.gymnasium.forking import check_not_forked
 from envs.make import make_deferred
+from envs.physics.choose import check_engine
 from envs.physics.deferred import DeferredPhysics
 
 
@@ -67,6 +68,7 @@ def fetch_programs(task: str, engine: str, **fields: float) -> FetchPrograms:
         TypeError: a field is no number.
         ValueError: as `envs.make`.
     """
+    check_engine(engine)
     check_fields(fields)
     return _programs(task, engine, tuple(sorted(fields.items())))
 

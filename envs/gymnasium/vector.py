@@ -111,6 +111,7 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
             ClosedEnvironmentError: after `close`.
             Error: a seed that is no integer, or below 0.
             ResetNeeded: a mask before the first reset that leaves rows without a state.
+            RuntimeError: JAX would hang, since this process was forked after it had started.
             TypeError: options that are no dict, or a mask that is no array of bool.
             ValueError: another option, a mask of another shape or of no row, or not as many
                 seeds as rows.
@@ -136,6 +137,7 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
         Raises:
             ClosedEnvironmentError: after `close`.
             ResetNeeded: before the first reset.
+            RuntimeError: as `reset`.
             ValueError: actions of another shape, or not finite in a row that they move.
         """
         programs, before = self._usable_programs(), self._state_for("step")

@@ -147,6 +147,7 @@ WRONG_ARGUMENTS: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"distance_threshold": [0.05]}, TypeError, "distance_threshold: .* is no number"),
     ({"air_probability": -0.1}, ValueError, "air_probability: -0.1 is not within"),
     ({"engine": "bullet"}, ValueError, "engine: unknown engine 'bullet'"),
+    ({"engine": ["native"]}, ValueError, "engine: unknown engine"),
     ({"task": "slide"}, ValueError, "env: unknown environment 'slide'"),
     ({"width": 0}, ValueError, r"width: 0 is not within \[1, 1280\]"),
     ({"height": 5000}, ValueError, r"height: 5000 is not within \[1, 960\]"),
