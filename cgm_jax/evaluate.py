@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.startup import prepare_jax
-from cgm_jax.settings import SettingError, Settings
-from cgm_jax.statistics import wilson_interval
+from cgm_jax.results.statistics import wilson_interval
 
 if TYPE_CHECKING:
-    from cgm_jax.report.evaluation import Outcome
+    from cgm_jax.results.policies import Outcome
 
 VIDEO_FORMATS = (".mp4", ".gif")
 WIDTH_STEP, GREATEST_WIDTH = 64, 1280
@@ -109,11 +110,11 @@ def _check_video(path: Path, width: int) -> None:
 
 
 def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
-    from cgm_jax.host.run_directory import RunDirectory
-    from cgm_jax.report.evaluation import Plan, evaluate_directory, evaluate_random
+    from cgm_jax.results.policies import Plan, evaluate_directory, evaluate_random
+    from cgm_jax.storage.run_directory import RunDirectory
 
     if options.video is not None:
-        from envs.rendering import RenderingError, check_rendering
+        from cgm_jax.envs.rendering import RenderingError, check_rendering
 
         try:  # now, and not after the evaluation
             check_rendering()
@@ -153,8 +154,8 @@ def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
 
 def _film(name: str, outcome: "Outcome", runs: int, path: Path, options: EvaluateOptions) -> str:
     """Write the video, and say what is in it."""
-    from cgm_jax.report.video import film_frames, write_video
-    from envs.fetch import FetchEnvironment
+    from cgm_jax.envs.fetch import FetchEnvironment
+    from cgm_jax.results.video import film_frames, write_video
 
     film = outcome.film
     assert film is not None

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cgm_jax.grid import build_groups
+from cgm_jax.config.grid import build_groups
 from cgm_jax.host.command_line import (
     TrainingOptions,
     chosen_values,

@@ -12,8 +12,8 @@ gymnasium/           the same tasks for Gymnasium, one by one and batched
 physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """
 
-from envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax
-from envs.goal_environment import GoalEnvironment
-from envs.make import ENGINES, TASKS, make
+from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax
+from cgm_jax.envs.goal_environment import GoalEnvironment
+from cgm_jax.envs.make import ENGINES, TASKS, make
 
 __all__ = ["ENGINES", "TASKS", "GoalEnvironment", "make"]

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
 
-from envs.mocap_controller import Gripper, control_target
-from envs.observations import fetch_observation
-from envs.physics.protocol import Physics, PhysicsState
-from envs.scene import Scene
-from envs.tasks import Task
+from cgm_jax.envs.mocap_controller import Gripper, control_target
+from cgm_jax.envs.observations import fetch_observation
+from cgm_jax.envs.physics.protocol import Physics, PhysicsState
+from cgm_jax.envs.scene import Scene
+from cgm_jax.envs.tasks import Task
 
 OFFSET_RANGE = 0.15
 """Object and goal lie within this of the initial grip position, in x and in y (m)."""

@@ -4,12 +4,12 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from envs.fetch import FetchEnvironment
-from envs.physics.choose import ENGINES, start_engine
-from envs.physics.deferred import DeferredPhysics
-from envs.physics.protocol import Physics
-from envs.scene import Scene, load_scene
-from envs.tasks import TASKS
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.physics.choose import ENGINES, start_engine
+from cgm_jax.envs.physics.deferred import DeferredPhysics
+from cgm_jax.envs.physics.protocol import Physics
+from cgm_jax.envs.scene import Scene, load_scene
+from cgm_jax.envs.tasks import TASKS
 
 __all__ = ["ENGINES", "TASKS", "make"]
 

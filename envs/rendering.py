@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from envs.scene import Scene
+from cgm_jax.envs.scene import Scene
 
 CAMERA = "overview"
 FRAMES_PER_SECOND = 25

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from envs.tasks import Task
+from cgm_jax.envs.tasks import Task
 
 # Beside this package both in a checkout and in an installed wheel.
 ASSETS = Path(__file__).resolve().parents[1] / "assets" / "fetch"

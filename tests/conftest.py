@@ -6,4 +6,4 @@ import os
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-import envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax

@@ -1,9 +1,8 @@
-"""Everything around training that is no mathematics: files, signals, memory, progress.
+"""The process around training: signals, memory, progress.
 
     command_line.py     options to settings; exit_codes.py what a program ends with
     session.py          from groups of runs to an exit code
     runner.py           the loop over chunks of training; pace.py how long a chunk may be
-    run_directory.py    config.json, metrics.jsonl, policies; lock.py one sweep per directory
     recorder.py         what is written after an epoch; progress.py what is shown
     startup.py          JAX's own settings, before it starts
     memory.py           what a sweep will take, and how many runs fit
@@ -13,5 +12,4 @@ What keeps a sweep from losing anything:
     checkpoint.py       where a group of runs stands, as checked files
     interruption.py     Ctrl-C and SIGTERM; watchdog.py where a program stands if it hangs
     device_errors.py    errors from below JAX, in one line
-    files.py            files that are whole or not there
 """

@@ -20,10 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.arrays import read_shapes, write_arrays
-from cgm_jax.host.files import PARTIAL, replacing
-from cgm_jax.settings import SettingError
-from cgm_jax.training_state import TrainingState
+from cgm_jax.config.fields import SettingError
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.storage.arrays import read_shapes, write_arrays
+from cgm_jax.storage.files import PARTIAL, replacing
 
 KEPT = 2
 DAMAGED = ".damaged"

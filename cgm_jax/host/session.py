@@ -5,16 +5,17 @@ import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cgm_jax.grid import Group
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run, structure
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import TrainingOptions
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
-from cgm_jax.host.run_directory import RunDirectory
 from cgm_jax.host.startup import prepare_jax
-from cgm_jax.settings import SettingError
+from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job
@@ -80,14 +81,12 @@ def _recorded_groups(out: Path, groups: Sequence[Group] | None) -> list[Group] |
 
 
 def _merged(groups: Sequence[Group]) -> list[Group]:
-    """Groups with parts of the same settings put together again."""
-    merged: list[Group] = []
+    """Groups with parts of the same program put together again."""
+    merged: dict[tuple[Settings, Any], list[Run]] = {}
     for group in groups:
-        if merged and merged[-1].settings == group.settings:
-            merged[-1] = Group(group.settings, merged[-1].runs + group.runs)
-        else:
-            merged.append(group)
-    return merged
+        program = structure(group.settings, group.runs[0].hyper)
+        merged.setdefault(program, []).extend(group.runs)
+    return [Group(settings, tuple(runs)) for (settings, _), runs in merged.items()]
 
 
 def _notes_on_resuming(directory: RunDirectory) -> list[str]:
@@ -105,7 +104,7 @@ def _train(
 ) -> int:
     from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
     from cgm_jax.host.runner import run_jobs
-    from cgm_jax.report.figures import draw_figures
+    from cgm_jax.results.figures import draw_figures
 
     started = time.monotonic()
     cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)

@@ -12,7 +12,7 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from envs.rendering import FRAMES_PER_SECOND
+from cgm_jax.envs.rendering import FRAMES_PER_SECOND
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_SECOND}
 

@@ -16,15 +16,20 @@ import numpy as np
 from brax.envs.base import State
 from gymnasium.error import ResetNeeded
 
-from envs.fetch import FetchEnvironment
-from envs.gymnasium.actions import checked_action
-from envs.gymnasium.arguments import METADATA, check_render_mode
-from envs.gymnasium.frames import Frames, warn_without_render_mode
-from envs.gymnasium.goals import is_achieved, physics_broke, sparse_reward
-from envs.gymnasium.mujoco_copy import MuJoCoCopy
-from envs.gymnasium.programs import draw_seed, fetch_programs
-from envs.gymnasium.resets import check_options
-from envs.gymnasium.spaces import Observation, action_space, observation_of, observation_space
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.gymnasium.actions import checked_action
+from cgm_jax.envs.gymnasium.arguments import METADATA, check_render_mode
+from cgm_jax.envs.gymnasium.frames import Frames, warn_without_render_mode
+from cgm_jax.envs.gymnasium.goals import is_achieved, physics_broke, sparse_reward
+from cgm_jax.envs.gymnasium.mujoco_copy import MuJoCoCopy
+from cgm_jax.envs.gymnasium.programs import draw_seed, fetch_programs
+from cgm_jax.envs.gymnasium.resets import check_options
+from cgm_jax.envs.gymnasium.spaces import (
+    Observation,
+    action_space,
+    observation_of,
+    observation_space,
+)
 
 
 class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):

@@ -10,10 +10,10 @@ import gymnasium
 import numpy as np
 from brax.envs.base import State
 
-from envs.gymnasium.goals import is_achieved
-from envs.gymnasium.programs import FetchPrograms
-from envs.gymnasium.spaces import observation_of
-from envs.rendering import Renderer, check_size
+from cgm_jax.envs.gymnasium.goals import is_achieved
+from cgm_jax.envs.gymnasium.programs import FetchPrograms
+from cgm_jax.envs.gymnasium.spaces import observation_of
+from cgm_jax.envs.rendering import Renderer, check_size
 
 
 class Frames:

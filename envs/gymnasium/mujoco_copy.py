@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 from brax.envs.base import State
 
-from envs.gymnasium.programs import FetchPrograms
+from cgm_jax.envs.gymnasium.programs import FetchPrograms
 
 
 class MuJoCoCopy:

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from envs.fetch import FetchEnvironment
-from envs.gymnasium.arguments import check_fields
-from envs.gymnasium.forking import check_not_forked
-from envs.make import make_deferred
-from envs.physics.choose import check_engine
-from envs.physics.deferred import DeferredPhysics
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.gymnasium.arguments import check_fields
+from cgm_jax.envs.gymnasium.forking import check_not_forked
+from cgm_jax.envs.make import make_deferred
+from cgm_jax.envs.physics.choose import check_engine
+from cgm_jax.envs.physics.deferred import DeferredPhysics
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 from brax.envs.base import State
 from gymnasium import spaces
 
-from envs.fetch import FetchEnvironment
+from cgm_jax.envs.fetch import FetchEnvironment
 
 GREATEST_OBSERVATION = 1000.0
 """Bound of the observation space: metres, radians, metres per control step. A robot's reach

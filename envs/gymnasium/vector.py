@@ -10,14 +10,19 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from envs.fetch import FetchEnvironment
-from envs.gymnasium.actions import checked_action
-from envs.gymnasium.arguments import METADATA, check_render_mode, row_count, step_limit
-from envs.gymnasium.frames import Frames, warn_without_render_mode
-from envs.gymnasium.goals import is_achieved, sparse_reward
-from envs.gymnasium.programs import FetchPrograms, draw_seed, fetch_programs
-from envs.gymnasium.resets import row_seeds, rows_to_reset
-from envs.gymnasium.spaces import Observation, action_space, observation_of, observation_space
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.gymnasium.actions import checked_action
+from cgm_jax.envs.gymnasium.arguments import METADATA, check_render_mode, row_count, step_limit
+from cgm_jax.envs.gymnasium.frames import Frames, warn_without_render_mode
+from cgm_jax.envs.gymnasium.goals import is_achieved, sparse_reward
+from cgm_jax.envs.gymnasium.programs import FetchPrograms, draw_seed, fetch_programs
+from cgm_jax.envs.gymnasium.resets import row_seeds, rows_to_reset
+from cgm_jax.envs.gymnasium.spaces import (
+    Observation,
+    action_space,
+    observation_of,
+    observation_space,
+)
 
 VECTOR_METADATA = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
 

@@ -2,8 +2,8 @@
 
 import importlib.util
 
-from envs.physics.protocol import Physics
-from envs.scene import Scene
+from cgm_jax.envs.physics.protocol import Physics
+from cgm_jax.envs.scene import Scene
 
 ENGINES = ("auto", "native", "mjx", "warp")
 
@@ -55,10 +55,10 @@ def start_engine(name: str, scene: Scene) -> Physics:
 
         if jax.default_backend() != "cpu":
             raise ValueError("engine: native needs JAX on a CPU; set JAX_PLATFORMS=cpu")
-        from envs.physics.native import NativePhysics
+        from cgm_jax.envs.physics.native import NativePhysics
 
         return NativePhysics(scene)
 
-    from envs.physics.mjx import MjxPhysics
+    from cgm_jax.envs.physics.mjx import MjxPhysics
 
     return MjxPhysics(scene, implementation="warp" if name == "warp" else "jax")

@@ -13,10 +13,10 @@ import jax
 import mujoco
 import numpy as np
 
-from envs.mocap_controller import ControlTarget
-from envs.physics.choose import check_engine, start_engine
-from envs.physics.protocol import Physics, PhysicsState
-from envs.scene import Scene
+from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.choose import check_engine, start_engine
+from cgm_jax.envs.physics.protocol import Physics, PhysicsState
+from cgm_jax.envs.scene import Scene
 
 
 class DeferredPhysics:

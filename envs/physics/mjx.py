@@ -12,10 +12,10 @@ import numpy as np
 from flax import struct
 from mujoco import mjx
 
-from envs.mocap_controller import ControlTarget
-from envs.physics.protocol import PhysicsState
-from envs.physics.weld import WeldTerm
-from envs.scene import Scene
+from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.protocol import PhysicsState
+from cgm_jax.envs.physics.weld import WeldTerm
+from cgm_jax.envs.scene import Scene
 
 # XLA's fusion emitters on CPU take minutes to compile the vmapped kinematics of an arm and
 # then run it a hundred times slower. The flag costs network updates 7 %, so only this engine

@@ -24,9 +24,9 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 from mujoco.batch import Batch
 
-from envs.mocap_controller import ControlTarget
-from envs.physics.protocol import PhysicsState
-from envs.scene import Scene
+from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.protocol import PhysicsState
+from cgm_jax.envs.scene import Scene
 
 WORDS_PER_FLOAT64 = 2
 TIME_SIZE = 1  # a state row starts with the time; the positions follow

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from envs.mocap_controller import ControlTarget
+from cgm_jax.envs.mocap_controller import ControlTarget
 
 
 class PhysicsState(struct.PyTreeNode):

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-import envs
-from envs.fetch import FetchEnvironment
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
 
 # Brax types the parts of its State as unknown.
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import State
 
-from cgm_jax.settings import Settings
+from cgm_jax.config.settings import Settings
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 import pytest
 
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.progress import physics_lines
-from cgm_jax.settings import Hyperparameters
-from cgm_jax.training import Trainer
+from cgm_jax.loop.training import Trainer
 from tests.cgm_jax.broken_fetch import BrokenFetch
 from tests.cgm_jax.probe import TINY
 

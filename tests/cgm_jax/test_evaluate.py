@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cgm_jax.environments import make_environment
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
-from cgm_jax.grid import Group, Run
-from cgm_jax.host.run_directory import RunDirectory
-from cgm_jax.report.evaluation import Film, Outcome, Plan, evaluate_directory, evaluate_random
-from cgm_jax.report.video import write_video
-from cgm_jax.settings import Hyperparameters, SettingError, Settings
-from envs.fetch import FetchEnvironment
+from cgm_jax.loop.environment import make_environment
+from cgm_jax.results.policies import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.results.video import write_video
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
 
 REACH = Settings(env="reach", engine="native")
@@ -33,7 +34,7 @@ def reaching_policy(gain: float) -> dict[str, np.ndarray]:
     arrays = {"layer_0_kernel": kernel, "layer_0_bias": np.zeros(4)}
     for name, size in (("observation", 10), ("goal", 3)):
         arrays |= {f"{name}_mean": np.zeros(size), f"{name}_std": np.ones(size)}
-    arrays |= {"raw_limit": np.array(200.0), "normalised_limit": np.array(5.0)}
+    arrays |= {"normalised_limit": np.array(5.0)}
     return {name: array.astype(np.float32) for name, array in arrays.items()}
 
 

@@ -8,8 +8,8 @@ import itertools
 import numpy as np
 from brax.envs.base import State
 
-from envs.fetch import FetchEnvironment
-from envs.observations import SECONDS_PER_CONTROL_STEP
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.observations import SECONDS_PER_CONTROL_STEP
 
 
 def observations(states: list[State]) -> np.ndarray:
@@ -20,11 +20,6 @@ def observations(states: list[State]) -> np.ndarray:
 def warnings(states: list[State]) -> float:
     """Physics warnings of all steps and episodes together."""
     return float(np.sum([state.metrics["physics_warnings"] for state in states]))
-
-
-def success(states: list[State]) -> np.ndarray:
-    """Whether the last step achieves the goal, [E]."""
-    return np.asarray(states[-1].metrics["success"]) > 0
 
 
 def object_speed(states: list[State]) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import functools
 
-from envs.rendering import RenderingError, check_rendering
+from cgm_jax.envs.rendering import RenderingError, check_rendering
 
 
 @functools.cache

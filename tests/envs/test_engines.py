@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from envs.physics.mjx import CPU_FLAG
+from cgm_jax.envs.physics.mjx import CPU_FLAG
 
 ROOT = Path(__file__).parents[2]
 TASKS = ("push", "pick_and_place")

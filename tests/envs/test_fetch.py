@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-import envs
-from envs.fetch import FetchEnvironment
-from envs.mocap_controller import ControlTarget
-from envs.physics.native import NativePhysics
-from tests.envs.measures import success, warnings
-from tests.envs.scripted import CONTROLLERS, Player
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.native import NativePhysics
+from experiments.physics.scripted import CONTROLLERS, Player, success
+from tests.envs.measures import warnings
 
 STARTS = Path(__file__).parents[1] / "data" / "gymnasium_starts.npz"
 GRIP_HOME = {

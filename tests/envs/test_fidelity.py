@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import envs
-from experiments.fidelity import compare, difference, replay_task, replayer
+from cgm_jax import envs
+from experiments.physics.fidelity import compare, difference, replay_task, replayer
 
 RECORDING = Path(__file__).parents[1] / "data" / "gymnasium_fetch.npz"
 

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.mocap_controller import Gripper, control_target, weld_drift
+from cgm_jax.envs.mocap_controller import Gripper, control_target, weld_drift
 
 DOWN = np.array([1.0, 0.0, 1.0, 0.0]) / np.sqrt(2)
 

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.observations import euler_angles, fetch_observation
+from cgm_jax.envs.observations import euler_angles, fetch_observation
 
 
 def rotation(axis: int, angle: float) -> np.ndarray:

@@ -2,12 +2,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from envs.physics.mjx import MjxPhysics, Motion
-from envs.physics.native import NativePhysics
-from envs.physics.protocol import PhysicsState
-from envs.rendering import Renderer, Shape, goal_shapes
-from envs.scene import Scene, load_scene
-from envs.tasks import TASKS
+from cgm_jax.envs.physics.mjx import MjxPhysics, Motion
+from cgm_jax.envs.physics.native import NativePhysics
+from cgm_jax.envs.physics.protocol import PhysicsState
+from cgm_jax.envs.rendering import Renderer, Shape, goal_shapes
+from cgm_jax.envs.scene import Scene, load_scene
+from cgm_jax.envs.tasks import TASKS
 from tests.envs.surface import can_render
 
 # pyright: reportAttributeAccessIssue=false

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import envs
+from cgm_jax import envs
+from experiments.physics.scripted import Player
 from tests.envs.adversary import ADVERSARIES, attack
 from tests.envs.measures import finger_depth, object_speed, observations, warnings
-from tests.envs.scripted import Player
 
 
 @pytest.mark.parametrize("task", ["push", "pick_and_place"])

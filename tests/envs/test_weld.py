@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from envs.physics.weld import WeldTerm
+from cgm_jax.envs.physics.weld import WeldTerm
 
 # pyright: reportAttributeAccessIssue=false
 

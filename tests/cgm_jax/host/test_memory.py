@@ -6,8 +6,11 @@ from pathlib import Path
 
 import jax
 import pytest
+from cgm_jax.loop.programs import make_programs
 
-from cgm_jax.grid import build_groups
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import build_groups
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host import memory, runner
 from cgm_jax.host.memory import (
     MemoryEstimate,
@@ -17,10 +20,8 @@ from cgm_jax.host.memory import (
     runs_that_fit,
     tree_bytes,
 )
-from cgm_jax.programs import make_programs
-from cgm_jax.settings import Hyperparameters, SettingError
-from cgm_jax.training import Trainer
-from cgm_jax.training_state import stack
+from cgm_jax.loop.state import stack
+from cgm_jax.loop.training import Trainer
 from tests.cgm_jax.probe import TINY
 from tests.cgm_jax.sweeps import ROOT
 from tests.examples.point_mass import PointMass

@@ -41,12 +41,12 @@ def test_a_stopped_sweep_gives_the_bits_of_one_that_was_not(tmp_path: Path) -> N
 MJX = """
 import dataclasses, pathlib, sys
 import jax, numpy as np
-import envs
+from cgm_jax import envs
 from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
-from cgm_jax.programs import make_programs
-from cgm_jax.settings import Hyperparameters
-from cgm_jax.training import Trainer
-from cgm_jax.training_state import stack
+from cgm_jax.loop.programs import make_programs
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.training import Trainer
+from cgm_jax.loop.state import stack
 from tests.cgm_jax.probe import TINY
 
 env = dataclasses.replace(envs.make("reach", engine="mjx"), episode_length=4)

@@ -24,12 +24,13 @@ from brax.envs.base import State
 from jax.experimental.buffer_callback import buffer_callback
 
 from cgm_jax import sweep
-from cgm_jax.grid import Group, Run
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run
+from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host import recorder, runner, session
 from cgm_jax.host.checkpoint import Standing
-from cgm_jax.host.lock import locked
-from cgm_jax.report import figures
-from cgm_jax.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.results import figures
+from cgm_jax.storage.lock import locked
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
 from tests.examples.point_mass import PointMass
 

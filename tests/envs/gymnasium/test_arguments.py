@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from gymnasium.error import Error
 
-from envs.gymnasium.fetch import FetchGymnasium
-from envs.gymnasium.vector import FetchVector
+from cgm_jax.envs.gymnasium.fetch import FetchGymnasium
+from cgm_jax.envs.gymnasium.vector import FetchVector
 from tests.envs.gymnasium.helpers import assert_same_observations, make, make_vec
 
 NAN, INF = float("nan"), float("inf")

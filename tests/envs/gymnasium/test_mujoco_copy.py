@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from envs.physics.mjx import MjxPhysics, Motion
-from envs.physics.protocol import PhysicsState
+from cgm_jax.envs.physics.mjx import MjxPhysics, Motion
+from cgm_jax.envs.physics.protocol import PhysicsState
 from tests.envs.gymnasium.helpers import NAMES, make
 from tests.envs.surface import can_render
 

@@ -12,7 +12,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from envs.gymnasium.vector import FetchVector
+from cgm_jax.envs.gymnasium.vector import FetchVector
 from tests.envs.gymnasium.helpers import assert_same_observations, broken, make, make_vec
 
 

@@ -1,0 +1,149 @@
+"""Running mean and standard deviation of what the networks see.
+
+The statistics are Brax's; this module decides what feeds them. One NaN row would poison them
+for good, so rows of dropped episodes get no weight and a harmless value.
+
+Nothing here depends on the unit or the origin of the data. The implementation that the paper
+builds on (OpenAI baselines) clips raw values to +-200 and divides by at least 0.01, which is made
+for metres near the origin. Here raw values are not clipped, and the environment's distance
+threshold is the yardstick of the floor (0.01 m on Fetch) and of what to divide by before any data
+(1 m).
+"""
+
+# Brax types the parts of its statistics as unknown.
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportOperatorIssue=false
+
+import jax
+import jax.numpy as jnp
+from brax.training.acme import running_statistics
+from brax.training.acme.running_statistics import RunningStatisticsState
+from flax import struct
+from jax.typing import ArrayLike
+
+from cgm_jax.replay.ring import Episodes
+
+INITIAL = 20.0
+"""Standard deviation before any data, in distance thresholds."""
+
+FAR = 1000.0
+"""Data farther from 0 than this many distance thresholds are summed from an origin of their own."""
+
+PRECISION = 1e-6
+"""A standard deviation below this share of the mean is rounding of float32, not motion."""
+
+
+class Normaliser(struct.PyTreeNode):
+    """Statistics of observations and of goals.
+
+    Attributes:
+        observation: of observations.
+        goal: of desired and achieved goals.
+        limit: normalised values are clipped to +-this, scalar.
+    """
+
+    observation: RunningStatisticsState
+    goal: RunningStatisticsState
+    limit: jax.Array
+
+
+def initial_normaliser(
+    observation_size: int, goal_size: int, *, limit: ArrayLike, distance_threshold: float
+) -> Normaliser:
+    """Statistics that have seen nothing."""
+    return Normaliser(
+        observation=_blank(observation_size, distance_threshold),
+        goal=_blank(goal_size, distance_threshold),
+        limit=jnp.asarray(limit, jnp.float32),
+    )
+
+
+def observe(
+    normaliser: Normaliser,
+    episodes: Episodes,
+    valid: jax.Array,
+    *,
+    floor: float,
+    distance_threshold: float,
+) -> Normaliser:
+    """Take in new episodes.
+
+    Goals are fed from both kinds that the networks see: desired and achieved ones.
+
+    Args:
+        normaliser: before.
+        episodes: the new ones.
+        valid: which of them count, [episodes] bool.
+        floor: least standard deviation, in distance thresholds.
+        distance_threshold: of the environment, in the unit of its goals.
+    """
+    length = episodes.action.shape[1]
+    desired = jnp.repeat(episodes.desired_goal[:, None], length, axis=1)
+    goals = jnp.concatenate([desired, episodes.achieved_goal[:, 1:]], axis=1)
+    scales = (floor * distance_threshold, FAR * distance_threshold)
+    return normaliser.replace(
+        observation=_update(normaliser.observation, episodes.observation, valid, *scales),
+        goal=_update(normaliser.goal, goals, valid, *scales),
+    )
+
+
+def network_input(normaliser: Normaliser, observation: jax.Array, goal: jax.Array) -> jax.Array:
+    """Normalised observation and goal, [..., observation_size + goal_size]."""
+    pairs = ((normaliser.observation, observation), (normaliser.goal, goal))
+    parts = [(rows - statistics.mean) / statistics.std for statistics, rows in pairs]
+    return jnp.clip(jnp.concatenate(parts, axis=-1), -normaliser.limit, normaliser.limit)
+
+
+def _blank(size: int, distance_threshold: float) -> RunningStatisticsState:
+    # The default std_eps is a Python number, whose weak type would not survive the first epoch
+    # and would make the second one compile anew.
+    state = running_statistics.init_state(jnp.zeros(size), std_eps=jnp.zeros(()))  # pyright: ignore
+    return state.replace(std=jnp.full_like(state.mean, INITIAL * distance_threshold))
+
+
+def _update(
+    statistics: RunningStatisticsState,
+    rows: jax.Array,
+    valid: jax.Array,
+    floor: float,
+    far: float,
+) -> RunningStatisticsState:
+    """Update with rows [episodes, steps, size] of the valid episodes [episodes]."""
+    usable = jnp.broadcast_to(valid[:, None], rows.shape[:2]) & jnp.isfinite(rows).all(axis=-1)
+    updated = running_statistics.update(
+        statistics.replace(mean=_origin(statistics, rows, usable, far)),
+        jnp.where(usable[..., None], rows, 0.0),
+        weights=usable.astype(jnp.float32),
+        std_min_value=0.0,
+        std_max_value=float(jnp.finfo(jnp.float32).max),
+    )
+    updated = updated.replace(std=_floored(updated, floor))
+    # With no row at all the update divides by a count of zero.
+    return jax.tree.map(
+        lambda new, old: jnp.where(usable.any(), new, old).astype(jnp.asarray(old).dtype),
+        updated,
+        statistics,
+    )
+
+
+def _origin(
+    statistics: RunningStatisticsState, rows: jax.Array, usable: jax.Array, far: float
+) -> jax.Array:
+    """Where the sums start: at 0, or at the first row where the data lie far from 0.
+
+    Sums of squares around 0 would lose all digits of what varies (float32 has seven).
+    """
+    first = rows.reshape(-1, rows.shape[-1])[jnp.argmax(usable)]
+    nothing_seen = (statistics.count.hi == 0) & (statistics.count.lo == 0)  # pyright: ignore
+    return jnp.where(nothing_seen & usable.any() & (jnp.abs(first) > far), first, statistics.mean)
+
+
+def _floored(statistics: RunningStatisticsState, floor: float) -> jax.Array:
+    """Standard deviations [size] by which to divide.
+
+    At least `floor`, unless even the entry that varies most varies less: observations may have a
+    smaller unit than goals. Never within the rounding of the mean.
+    """
+    std: jax.Array = statistics.std  # pyright: ignore[reportAssignmentType]
+    most = std.max()
+    least = jnp.where(most > 0.0, jnp.minimum(floor, most), floor)
+    return jnp.maximum(jnp.maximum(std, least), PRECISION * jnp.abs(statistics.mean))

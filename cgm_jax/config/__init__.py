@@ -1,0 +1,6 @@
+"""What is asked for. Imports no other room, and no JAX, so that bad input is refused at once.
+
+settings.py  every setting: its default, its range, its help
+presets.py   smoke, quick, cpu, paper
+grid.py      from lists of values to runs, and from runs to groups that train side by side
+"""

@@ -1,0 +1,4 @@
+"""What to practise.
+
+masking.py  curriculum goal masking: which goal dimensions to keep, by estimated success
+"""

@@ -1,0 +1,110 @@
+"""Training as pure functions over a `TrainingState`, to be jitted and vmapped over runs.
+
+    trainer = make_trainer(env, Settings(...))
+    hyper = Hyperparameters(seed=0, curriculum=CGM(c_g=0.1), agent=DDPG())
+    state = trainer.init(hyper)
+    state, metrics = trainer.epoch(state, hyper)
+
+One run is a sweep of one: `jax.vmap` the same functions over states and hyperparameters.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.envs import GoalEnvironment
+from cgm_jax.loop.cycle import cycle
+from cgm_jax.loop.evaluation import Metrics, evaluate
+from cgm_jax.loop.setup import Setup, initial_state, make_setup
+from cgm_jax.loop.state import TrainingState
+
+
+class Trainer(NamedTuple):
+    """Pure functions of one run; what shapes them is fixed.
+
+    Attributes:
+        setup: the environment and the static settings.
+        init: from hyperparameters to the state before any training.
+        train: so many cycles.
+        evaluate: close an epoch: noise-free episodes, and its metrics.
+        epoch: `cycles_per_epoch` cycles, then `evaluate`.
+    """
+
+    setup: Setup
+    init: Callable[[Hyperparameters], TrainingState]
+    train: Callable[[TrainingState, Hyperparameters, int | jax.Array], TrainingState]
+    evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
+    epoch: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
+
+
+def make_trainer(env: GoalEnvironment, settings: Settings) -> Trainer:
+    """The functions that train on an environment; nothing is run or compiled yet.
+
+    Whether a run's curriculum and agent go with them, `init` says; `jax.eval_shape` of it does so
+    without running it.
+    """
+    setup = make_setup(env, settings)
+    return Trainer(
+        setup=setup,
+        init=partial(initial_state, setup),
+        train=partial(train_cycles, setup),
+        evaluate=partial(evaluate, setup),
+        epoch=partial(epoch, setup),
+    )
+
+
+def train_cycles(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters, count: int | jax.Array
+) -> TrainingState:
+    """Any number of cycles: one scan whose length may be traced.
+
+    So one program serves chunks of all lengths, and chunks give the bits of one whole.
+    """
+    return jax.lax.fori_loop(0, count, lambda _, state: cycle(setup, state, hyper), state)
+
+
+def epoch(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters
+) -> tuple[TrainingState, Metrics]:
+    """One epoch: `cycles_per_epoch` cycles, then an evaluation."""
+    state = train_cycles(setup, state, hyper, setup.settings.cycles_per_epoch)
+    return evaluate(setup, state, hyper)
+
+
+class Programs(NamedTuple):
+    """A trainer's functions, jitted and vmapped over a leading axis of runs.
+
+    One compiled program each per number of runs and structure of their settings, whatever the
+    values that they sweep.
+
+    Attributes:
+        trainer: whose programs these are.
+        start: hyperparameters to states.
+        train: states, hyperparameters and a number of cycles to states. Takes the states over:
+            their buffers are reused.
+        evaluate: states and hyperparameters to states and metrics; takes the states over.
+    """
+
+    trainer: Trainer
+    start: Callable[[Hyperparameters], TrainingState]
+    train: Callable[[TrainingState, Hyperparameters, int], TrainingState]
+    evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
+
+
+def make_programs(trainer: Trainer) -> Programs:
+    """Jit and vmap a trainer over a leading axis of runs. Nothing compiles yet."""
+    return Programs(
+        trainer=trainer,
+        start=jax.jit(jax.vmap(trainer.init)),
+        train=jax.jit(jax.vmap(trainer.train, in_axes=(0, 0, None)), donate_argnums=0),
+        evaluate=jax.jit(jax.vmap(trainer.evaluate), donate_argnums=0),
+    )
+
+
+def compilations(programs: Programs) -> int:
+    """How many programs XLA has compiled so far; at most three however long training goes on."""
+    jitted = (programs.start, programs.train, programs.evaluate)
+    return sum(program._cache_size() for program in jitted)  # pyright: ignore

@@ -1,0 +1,98 @@
+"""Films of Fetch episodes, as MP4 or GIF."""
+
+import contextlib
+import itertools
+import subprocess
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+from PIL import Image
+
+from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
+from cgm_jax.results.policies import Film, goal_mask
+
+HELD_FRAMES = 12
+"""The last picture of an episode stands for half a second, so that its outcome can be seen."""
+
+GIF_COLOURS = 256
+
+
+def film_frames(env: FetchEnvironment, film: Film, mask: str, width: int) -> Iterator[np.ndarray]:
+    """Pictures [height, width, 3] of the valid episodes of a film, one after another.
+
+    Args:
+        env: what was filmed.
+        film: whole episodes of it.
+        mask: masked axes, as `evaluation.Plan` has them.
+        width: of the picture, pixels; the height is three quarters of it.
+
+    Raises:
+        RenderingError: this machine cannot render.
+    """
+    positions = env.physics.positions(film.states)
+    goals, achieved = np.asarray(film.desired_goal), np.asarray(film.achieved)
+    kept = goal_mask(mask, goals.shape[-1]).tolist()
+    with Renderer(env.scene, env.distance_threshold, width, width * 3 // 4) as renderer:
+        for episode in np.flatnonzero(film.valid):
+            for step, row in enumerate(positions[:, episode]):
+                reached = bool(achieved[episode, step])
+                frame = renderer.frame(row, goals[episode], achieved=reached, mask=kept)
+                last = step == len(positions) - 1
+                yield from [frame] * (HELD_FRAMES if last else 1)
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray]) -> None:
+    """Write pictures as a video in real time.
+
+    Args:
+        path: where to; the suffix .mp4 or .gif decides the format. Is replaced if it exists.
+        frames: at least one picture [height, width, 3] uint8, all of one size; for MP4 both
+            sides multiples of 16.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    if path.suffix == ".gif":
+        _write_gif(path, frames)
+    else:
+        _write_mp4(path, frames)
+
+
+def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
+    rest = iter(frames)
+    first = next(rest)
+    height, width, _ = first.shape
+    pictures = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {FRAMES_PER_SECOND} -i -"
+    encoding = "-an -c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart"
+    options = ["-y", "-loglevel", "error", *pictures.split(), *encoding.split(), str(path)]
+    # Not by imageio_ffmpeg's own writer: it forks, which JAX's threads do not bear.
+    with subprocess.Popen(
+        [imageio_ffmpeg.get_ffmpeg_exe(), *options], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as encoder:
+        assert encoder.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the encoder says why
+            for frame in itertools.chain([first], rest):
+                encoder.stdin.write(frame.tobytes())
+        _, complaint = encoder.communicate()
+    if encoder.returncode:
+        raise OSError(complaint.decode(errors="replace").strip().rpartition("\n")[2])
+
+
+def _write_gif(path: Path, frames: Iterable[np.ndarray]) -> None:
+    """One palette for all pictures, undithered: what stands still then costs nothing."""
+    pictures = [Image.fromarray(frame) for frame in frames]
+    palette = _palette(pictures)
+    first, *rest = [
+        picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
+    ]
+    first.save(path, save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
+
+
+def _palette(pictures: list[Image.Image]) -> Image.Image:
+    """A palette that serves the first picture, the last, and some between."""
+    chosen = pictures[:: max(1, len(pictures) // 8)] + pictures[-1:]
+    together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in chosen]))
+    return together.quantize(GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=1)

@@ -1,0 +1,6 @@
+"""What lies on the disk.
+
+run_directory.py  config.json, metrics.jsonl, policies; lock.py one sweep per directory
+arrays.py         files of named arrays, read as untrusted input
+files.py          files that are whole or not there
+"""

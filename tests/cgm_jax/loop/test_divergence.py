@@ -1,0 +1,93 @@
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cgm_jax.loop.programs import make_programs
+
+from cgm_jax.agents.ddpg import Agent
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.divergence import describe_failure, failure_of, freeze_if_failed
+from cgm_jax.loop.state import stack
+from cgm_jax.loop.training import Trainer
+from tests.cgm_jax.probe import TINY
+from tests.examples.point_mass import PointMass
+
+TRAINER = Trainer(PointMass(), TINY)
+PROGRAMS = make_programs(TRAINER)
+ACTOR, CRITIC, OPTIMISER = 1, 2, 4
+
+
+def agent() -> Agent:
+    return TRAINER.ddpg.initial_agent(jax.random.key(0))
+
+
+def spoilt(part: str, value: float) -> Agent:
+    """The agent with one bias, or one running mean of a gradient, replaced."""
+    whole = agent()
+
+    def spoil(path: Any, leaf: jax.Array) -> jax.Array:
+        return leaf.at[0].set(value) if "layer_1']['bias" in jax.tree_util.keystr(path) else leaf
+
+    tree = jax.tree_util.tree_map_with_path(spoil, getattr(whole, part))
+    return whole.replace(**{part: tree})
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "failure"),
+    [
+        ("actor", 0.5, 0),
+        ("actor", jnp.nan, ACTOR),
+        ("target_actor", -jnp.inf, ACTOR),
+        ("critic", -2e9, CRITIC),
+        ("target_critic", jnp.nan, CRITIC),
+        ("critic", 0.9e9, 0),
+        ("critic_optimiser", 2e9, 0),  # squares of gradients may be large
+        ("actor_optimiser", jnp.inf, OPTIMISER),
+    ],
+)
+def test_what_has_diverged_is_named(part: str, value: float, failure: int) -> None:
+    assert int(failure_of(spoilt(part, value))) == failure
+
+
+def test_a_failure_in_words() -> None:
+    assert describe_failure(CRITIC) == "critic not finite or beyond 1e+09"
+    assert describe_failure(ACTOR | OPTIMISER) == "actor, optimiser not finite or beyond 1e+09"
+
+
+def test_a_failed_run_stays_as_it_was_for_good() -> None:
+    sound, bad, later = agent(), spoilt("critic", jnp.nan), spoilt("actor", 0.5)
+    failure, kept = freeze_if_failed(jnp.int32(0), sound, later)
+    assert int(failure) == 0
+    assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5
+    for first, second in ((bad, later), (later, bad)):
+        failure, kept = freeze_if_failed(jnp.int32(0), sound, first)
+        failure, kept = freeze_if_failed(failure, kept, second)
+        assert int(failure) == CRITIC
+    assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5  # the last sound one
+
+
+@pytest.mark.parametrize("name", ["actor_learning_rate", "critic_learning_rate"])
+def test_a_run_that_diverges_leaves_the_bits_of_the_others_alone(name: str) -> None:
+    def train(rate: float) -> tuple[Any, Any]:
+        runs = [Hyperparameters(seed=i) for i in range(3)]
+        runs[1] = dataclasses.replace(runs[1], **{name: rate})
+        hyper = stack(runs)
+        state = PROGRAMS.train(PROGRAMS.start(hyper), hyper, 2)
+        state, _ = PROGRAMS.evaluate(state, hyper)
+        state = PROGRAMS.train(state, hyper, 3)
+        return PROGRAMS.evaluate(state, hyper)
+
+    (good, good_metrics), (bad, metrics) = train(1e-3), train(1e30)
+    assert np.asarray(good_metrics["failure"]).tolist() == [0, 0, 0]
+    failures = np.asarray(metrics["failure"])
+    assert failures[[0, 2]].tolist() == [0, 0]
+    assert failures[1] & (ACTOR if name.startswith("actor") else CRITIC)
+    for leaf, other in zip(jax.tree.leaves(good), jax.tree.leaves(bad), strict=True):
+        assert bool((leaf[::2] == other[::2]).all())
+    for leaf in jax.tree.leaves(bad.agent):
+        assert bool(jnp.isfinite(leaf).all())
+    # The failing updates are not counted: the run stands where it was before them.
+    assert int(metrics["updates"][1]) < int(metrics["updates"][0]) == 5 * TINY.updates_per_cycle
