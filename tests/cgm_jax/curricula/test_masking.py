@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from cgm_jax.curricula.masking import (
     apply_mask,
     empty_history,

@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cgm_jax.loop.programs import make_programs
 
 from cgm_jax.agents.ddpg import Agent
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.divergence import describe_failure, failure_of, freeze_if_failed
+from cgm_jax.loop.programs import make_programs
 from cgm_jax.loop.state import stack
 from cgm_jax.loop.training import Trainer
 from tests.cgm_jax.probe import TINY
