@@ -134,7 +134,11 @@ class Curriculum(Protocol[State]):
         return None
 
     def report(self, state: State) -> dict[str, jax.Array]:
-        """What metrics.jsonl is to hold: the state that an epoch was trained with, by name."""
+        """What metrics.jsonl is to hold: the state that an epoch was trained with, by name.
+
+        The figure curriculum.png draws scalars as lines and arrays [k] as heat maps over training;
+        values of an array `a` [k] name the rows of an array `a_b` [k].
+        """
         del state
         return {}
 

@@ -74,6 +74,7 @@ def draw_figures(directory: RunDirectory) -> list[Path]:
             save_figure(draw(rows), path)
             paths.append(path)
         except NothingToDraw as reason:
+            path.unlink(missing_ok=True)  # of an older version, which drew it in any case
             print(f"{path.name} is not drawn: {reason}", file=sys.stderr)
         except Exception as error:  # what is wrong with one figure costs no other
             line = str(error).partition("\n")[0]

@@ -26,6 +26,7 @@ def test_figures_that_would_be_empty_are_said_and_the_others_drawn(
     directory: RunDirectory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(directory, run([0.1, 0.2], curriculum="full"))
+    (directory.path / "figures" / "mask_success.png").write_bytes(b"of an older version")
     assert [path.name for path in draw_figures(directory)] == ["learning_curves.png"]
     assert [path.name for path in (directory.path / "figures").iterdir()] == ["learning_curves.png"]
     assert capsys.readouterr().err.splitlines() == [
