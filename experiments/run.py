@@ -28,7 +28,14 @@ from experiments.learning.plans import (
     planned_settings,
     read_plans,
 )
-from experiments.learning.records import RecordedRun, Row, record, recorded_runs, recorded_settings
+from experiments.learning.records import (
+    RecordedRun,
+    Row,
+    record,
+    recorded_runs,
+    recorded_settings,
+    same_runs,
+)
 from experiments.learning.tables import Runs, learning_speed, metrics_of
 from experiments.learning.train import train
 from experiments.report import README, regenerated
@@ -51,7 +58,7 @@ def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
         ValueError: on record are other runs than are planned now.
     """
     recorded = [settings for _, settings in recorded_settings(sweep)]
-    if recorded and recorded != planned_settings(planned):
+    if recorded and not same_runs(recorded, planned_settings(planned)):
         raise ValueError(f"{sweep}: on record are other runs than are planned; train it again")
     return recorded_runs(sweep)
 

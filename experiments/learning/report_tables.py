@@ -56,7 +56,8 @@ def differences_from_the_paper() -> Table:
     columns: list[dict[str, str]] = []
     for env, sweep in (("push", "push_her_cgm"), ("pick_and_place", "pick_and_place_her_cgm")):
         paper = build_groups("paper", {"env": [env], "seed": [0], "her": [True]})
-        columns += [_described(recorded_settings(sweep)[0][1]), _described(settings_of(paper)[0])]
+        of_paper = settings_of(paper[0].runs[0])
+        columns += [_described(recorded_settings(sweep)[0][1]), _described(of_paper)]
     header = ["", "push here", "push, paper", "pick-and-place here", "pick-and-place, paper"]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
     return Table(header, [row for row in rows if row[1] != row[2] or row[3] != row[4]])

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 NO_MASKS = "no masks"
 UNIFORM = "uniform masks"
 CGM = "CGM"
+WORDS = {"full": NO_MASKS, "uniform": UNIFORM, "cgm": CGM}
 
 
 class Setting(NamedTuple):
@@ -64,10 +65,8 @@ def setting_of(settings: Mapping[str, Any]) -> Setting:
 
 def _curriculum(settings: Mapping[str, Any]) -> tuple[str, float | None, float | None]:
     """Where masks come from, c_g and kappa."""
-    if not settings["cgm"]:
-        return NO_MASKS, None, None
-    if settings["kappa"] == 0:
-        return UNIFORM, None, None
+    if settings["curriculum"] != "cgm":
+        return WORDS[settings["curriculum"]], None, None
     masks = CGM
     if settings["masked_evaluation_episodes"]:
         masks = "CGM, masks measured"

@@ -10,11 +10,11 @@ from experiments.learning.comparison import comparison
 from tests.experiments.learning.recorded import run
 
 CURRICULA: list[dict[str, Any]] = [
-    {"cgm": False},
+    {"curriculum": "full"},
     {},
     {"factorised": False},
     {"masked_evaluation_episodes": 10},
-    {"kappa": 0.0},
+    {"curriculum": "uniform"},
 ]
 ALGORITHMS: list[dict[str, Any]] = [{"her": False}, {}, {"her_filter": False}]
 

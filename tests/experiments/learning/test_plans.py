@@ -9,7 +9,7 @@ from experiments.learning.plans import (
     planned_settings,
     read_plans,
 )
-from experiments.learning.records import recorded_settings
+from experiments.learning.records import recorded_settings, same_runs
 from experiments.run import FIGURES
 
 PLANS = read_plans()
@@ -32,25 +32,28 @@ def test_no_preset_or_default_decides_a_sweep(name: str) -> None:
 @pytest.mark.parametrize("name", PLANS.sweeps)
 def test_what_is_on_record_is_what_is_planned(name: str) -> None:
     recorded = [settings for _, settings in recorded_settings(name)]
-    assert recorded in ([], planned_settings(PLANS.sweeps[name]))
+    assert not recorded or same_runs(recorded, planned_settings(PLANS.sweeps[name]))
 
 
 def test_settings_build_on_others(tmp_path: Path) -> None:
     (tmp_path / "plans.toml").write_text("""
-        settings.first = {epochs = 3, cgm = true, hidden_layers = [8, 4]}
+        settings.first = {epochs = 3, her = true, hidden_layers = [8, 4]}
         settings.second = {like = "first", kappa = [1.0, 4.0]}
-        sweeps.one = {like = "second", cgm = false, seeds = 2}
+        settings.third = {epochs = 5, curriculum = "cgm"}
+        sweeps.one = {like = ["second", "third"], her = false, seeds = 2}
         questions.why = {sweeps = ["one"], figures = []}
     """)
     plans = read_plans(tmp_path / "plans.toml")
     assert plans.questions["why"].sweeps == ["one"]
     options = options_of(plans.sweeps["one"], "smoke")
     assert " ".join(options) == (
-        "--preset smoke --epochs 3 --cgm off --hidden-layers 8 4 --kappa 1.0 4.0 --seeds 2"
+        "--preset smoke --epochs 5 --her off --hidden-layers 8 4 --kappa 1.0 4.0 "
+        "--curriculum cgm --seeds 2"
     )
     missing = not_written_out(plans.sweeps["one"])
-    assert {"c_g", "batch_size"} <= missing
+    assert {"c_g", "batch_size", "agent"} <= missing
     assert missing.isdisjoint({"epochs", "kappa", "seed", "leave_at"})  # by default none
+    assert "c_g" not in not_written_out({**plans.sweeps["one"], "curriculum": "full"})
 
 
 @pytest.mark.parametrize("name", PLANS.questions)
