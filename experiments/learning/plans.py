@@ -21,8 +21,15 @@ Settings = Mapping[str, Any]
 
 
 class Question(NamedTuple):
-    """A question of the report: the sweeps that answer it, and the figures that show it."""
+    """A question of the report: the sweeps that answer it, and the figures that show it.
 
+    Attributes:
+        text: the question in words.
+        sweeps: names of sweeps.
+        figures: names of figures.
+    """
+
+    text: str
     sweeps: Sequence[str]
     figures: Sequence[str]
 

@@ -36,6 +36,15 @@ def test_every_algorithm_has_a_line_that_looks_like_no_other() -> None:
     plt.close(figure)
 
 
+def test_settings_that_would_look_alike_do_not() -> None:
+    others: list[dict[str, Any]] = [{}, {"c_g": 0.4}, {"full_share": 0.1}, {"mask_input": True}]
+    figure = comparison([run([0.1, 0.2], **other) for other in others])
+    lines = medians(figure)
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 4
+    assert len({line.get_label() for line in lines}) == 4
+    plt.close(figure)
+
+
 def test_few_seeds_have_a_line_each_and_a_median_as_far_as_all_were_trained() -> None:
     rates = ([0.1, 0.2, 0.9], [0.3, 0.4], [0.5, 0.0, 0.0])
     figure = comparison([run(list(r), seed, epochs=3) for seed, r in enumerate(rates)])

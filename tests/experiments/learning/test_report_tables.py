@@ -2,7 +2,8 @@
 
 import pytest
 
-from experiments.learning import report_tables
+from experiments.learning import report_tables, report_values
+from experiments.learning.plans import Plans, Question
 from experiments.learning.records import RecordedRun
 from tests.experiments.learning.recorded import run
 
@@ -74,8 +75,31 @@ def test_what_moved_the_block_is_shown_per_seed_as_far_as_it_is_known(
         ["CGM (10 %, 32)", "0", "3", "never", "20 %", "50 %"],
         ["no masks", "0", "never", "never", "4 %", ""],
     ]
+    question.append(run([0.0] * 2, her_filter=False))
+    question[-1].rows[0]["moved_share"] = 0.3
+    table = report_tables.moved_episodes("any", "2000")
+    assert list(table.header)[:2] == ["algorithm", "masks"]
+    assert table.rows[-1][0] == "DDPG + HER (from all episodes)"
     question.clear()
     assert report_tables.moved_episodes("any", "2000").rows == []
+
+
+def test_what_is_not_trained_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    questions = {
+        "why": Question("Why?", ["a", "b"], []),
+        "how": Question("How?", ["b", "c"], []),
+        "who": Question("Who?", ["b"], []),
+    }
+    for module in (report_tables, report_values):
+        monkeypatch.setattr(module, "read_plans", lambda: Plans({}, questions))
+        monkeypatch.setattr(module, "recorded_runs", lambda sweep: ["a run"] * (sweep == "b"))
+    rows = report_tables.planned().rows
+    assert [list(row) for row in rows] == [
+        ["Why?", "`why`", "1 of 2"],
+        ["How?", "`how`", "1 of 2"],
+    ]
+    assert report_values.not_trained("why") == "`a`"
+    assert report_values.not_trained("who") == "nothing"
 
 
 def test_stages_of_a_curriculum_by_hand(question: list[RecordedRun]) -> None:
