@@ -120,7 +120,7 @@ def setting_of(settings: Mapping[str, Any]) -> Setting:
 
 def _masks(settings: Mapping[str, Any]) -> str:
     """The curriculum's name, and what is not at its default."""
-    name = settings["curriculum"]
+    name: str = settings["curriculum"]
     fields = declared(builtin("curriculum")[name]) if name in builtin("curriculum") else []
     told = [item for item in fields if item.name not in ("c_g", "kappa", "discount")]
     variants = [
