@@ -55,20 +55,20 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
             would overflow.
     """
     jobs, notes = [], []
-    trainers: dict[Settings, Trainer] = {}
+    made: dict[Settings, Programs] = {}
     for _, same in itertools.groupby(groups, key=_program):
         parts = list(same)
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
-        if settings not in trainers:
-            trainers[settings] = make_trainer(make_environment(settings), settings)
-        trainer = trainers[settings]
+        if settings not in made:
+            made[settings] = make_programs(make_trainer(make_environment(settings), settings))
+        programs = made[settings]
+        trainer = programs.trainer
         _check_counters(trainer)
         estimate = estimate_memory(trainer, runs[0].hyper)
         if not planned:
             (whole,) = parts
             fitting = runs_that_fit(estimate, len(runs))
             parts = split(whole, min(fitting, settings.side_by_side))
-        programs = make_programs(trainer)
         jobs += [Job(part, programs) for part in parts]
         largest = max(len(part.runs) for part in parts)
         note = f"{settings.env}: {len(runs)} runs"

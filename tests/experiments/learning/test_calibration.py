@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cgm_jax.agents.ddpg import DDPG
-from cgm_jax.agents.policy import policy_arrays
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.loop.training import make_trainer
+from cgm_jax.storage.policies import policy_arrays
 from experiments.learning.calibration import success_per_mask
 from experiments.learning.calibration_errors import calibration_errors
 from tests.cgm_jax.probe import OneStepProbe, actor_that_needs_to_see_y
