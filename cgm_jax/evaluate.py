@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cgm_jax.config.settings import SettingError, Settings
-from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.command_line import name_own_code, parse, run_program
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.results.statistics import wilson_interval
 
@@ -36,8 +36,10 @@ class EvaluateOptions:
     random: bool = False
     """Take uniformly random actions in --env instead of a directory's policies."""
 
-    env: str | None = None
-    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own."""
+    env: tuple[str, ...] | None = None
+    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own. With a directory:
+    a file that its policies were trained on, if it has moved, was edited, or was never named on
+    this machine."""
 
     engine: str | None = None
     """auto, native, mjx or warp (default: what the run was trained on; auto for --random)."""
@@ -65,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
+    name_own_code({"env": [*(options.env or ())]})
     prepare_jax()
     outcomes = _evaluate(options)
     for line in _report(outcomes, options.mask):
@@ -88,8 +91,8 @@ def _check(options: EvaluateOptions) -> None:
             raise SettingError(f"{name}: {value} is not within [{low}, {high}]")
     if options.random and (options.directory is not None or options.run is not None):
         raise SettingError("random: goes with --env, not with a directory or a run")
-    if options.random != (options.env is not None):
-        raise SettingError("env: goes with --random, and --random needs it")
+    if options.random and len(options.env or ()) != 1:
+        raise SettingError("env: --random needs one")
     if not options.random and options.directory is None:
         raise SettingError("directory: name one to evaluate its policies, or give --random --env")
     if set(options.mask) - set("xyz") or len(set(options.mask)) < len(options.mask):
@@ -126,10 +129,11 @@ def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
         filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
         engine=options.engine,
     )
-    if options.env is not None:
-        return {"random": evaluate_random(Settings(env=options.env), plan)}
-    assert options.directory is not None
-    return evaluate_directory(RunDirectory.open(options.directory), plan, options.run)
+    named = list(options.env or ())
+    if options.directory is None:
+        return {"random": evaluate_random(Settings(env=named[0]), plan)}
+    directory = RunDirectory.open(options.directory)
+    return evaluate_directory(directory, plan, options.run, directory.moved(named))
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:

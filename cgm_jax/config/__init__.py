@@ -2,5 +2,6 @@
 
 settings.py  every setting: its default, its range, its help
 presets.py   smoke, quick, cpu, paper
+named.py     FILE.py:NAME; user_code.py runs it; allowed.py which files may run
 grid.py      from lists of values to runs, and from runs to groups that train side by side
 """

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from cgm_jax.config.named import absolute, label
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.settings import Hyperparameters, SettingError, Settings, check_value
 
@@ -56,7 +57,7 @@ def build_groups(preset: str, options: Grid) -> list[Group]:
     """
     groups = []
     for env in _values({**preset_grid(preset), **options}, "env", Settings.env):
-        grid = {**preset_grid(preset, env), **options, "env": [_absolute(env)]}
+        grid = {**preset_grid(preset, env), **options, "env": [absolute(env)]}
         for name, values in grid.items():
             _check_axis(name, values)
         settings = Settings(**{name: grid[name][0] for name in STATIC if name in grid})
@@ -77,11 +78,6 @@ def split(group: Group, largest: int) -> list[Group]:
         Group(group.settings, group.runs[end - size : end])
         for size, end in zip(sizes, ends, strict=True)
     ]
-
-
-def _absolute(env: str) -> str:
-    """An environment's name; if it is a file's, one that holds in any working directory."""
-    return os.path.abspath(env) if ".py:" in env else env  # noqa: PTH100 -- keeps symbolic links
 
 
 def _values(grid: Grid, name: str, default: Any) -> Sequence[Any]:
@@ -132,7 +128,7 @@ def _idle(hyper: Hyperparameters) -> list[str]:
 
 def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
     """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
-    parts = [env.rpartition("/")[2].replace(".py:", "-"), "her" if hyper.her else "ddpg"]
+    parts = [label(env), "her" if hyper.her else "ddpg"]
     parts += [f"cgm-cg{hyper.c_g:.12g}-kappa{hyper.kappa:.12g}"] if hyper.cgm else ["full"]
     for name in swept:
         if name not in ("seed", "c_g", "kappa", "cgm", "her", *_idle(hyper)):

@@ -17,12 +17,18 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
+from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
 from cgm_jax.host.exit_codes import ExitCode
 
 DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
+
+OWN_CODE = ("env",)
+"""Settings that may name code of the user's own, see config/named.py."""
+
+LONGEST_MESSAGE = 2000
 
 Options = TypeVar("Options")
 Switch = Literal["on", "off"]
@@ -75,7 +81,8 @@ class TrainingOptions(SettingOptions):
     """Directory for the results (default: runs/PRESET-TIME)."""
 
     resume: Path | None = None
-    """Directory of a sweep that was stopped: go on with it; takes no settings."""
+    """Directory of a sweep that was stopped: go on with it; takes no settings but --env, which
+    names a file again that has moved or was edited."""
 
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
@@ -99,14 +106,24 @@ class TrainingOptions(SettingOptions):
             raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
         if self.resume is None:
             return False
-        others = [*chosen, *(name for name in ("preset", "out") if getattr(self, name))]
+        # Own code that the config names may be named again: it has moved, or was edited.
+        settings = [name for name in chosen if name not in OWN_CODE]
+        others = [*settings, *(name for name in ("preset", "out") if getattr(self, name))]
         if others:
             raise SettingError(f"resume: goes on as it was begun, without {', '.join(others)}")
         return True
 
 
+def name_own_code(grid: Grid) -> None:
+    """What the user names on the command line may run."""
+    for setting in OWN_CODE:
+        for text in grid.get(setting, ()):
+            if is_own(text):
+                name_now(text)
+
+
 def chosen_values(options: Any) -> Grid:
-    """The lists that the user gave, by setting."""
+    """The lists that the user gave, by setting; own code in them may run from now on."""
     grid: Grid = {}
     for item in dataclasses.fields(SettingOptions):
         values = getattr(options, item.name)
@@ -116,6 +133,7 @@ def chosen_values(options: Any) -> Grid:
             grid[item.name] = [values]  # several widths are one value
         else:
             grid[item.name] = [{"on": True, "off": False}.get(value, value) for value in values]
+    name_own_code(grid)
     return grid
 
 
@@ -160,7 +178,9 @@ def run_program(main: Callable[[], int]) -> NoReturn:
 
 def refuse(message: str) -> NoReturn:
     """End with one line and exit code 2."""
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
+    shown = line if len(line) <= LONGEST_MESSAGE else f"{line[:LONGEST_MESSAGE]}..."
+    print(f"error: {shown}", file=sys.stderr)
     sys.exit(ExitCode.BAD_INPUT)
 
 

@@ -21,7 +21,7 @@ from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.watchdog import watchdog
-from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.environment import make_environment, remarks_on
 from cgm_jax.loop.programs import Programs, make_programs, stack_runs
 from cgm_jax.loop.training import Metrics, Trainer
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
@@ -55,7 +55,9 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
     """
     jobs, notes = [], []
     for settings, same in itertools.groupby(groups, key=lambda group: group.settings):
-        trainer = Trainer(make_environment(settings), settings)
+        env = make_environment(settings)
+        notes += remarks_on(env)
+        trainer = Trainer(env, settings)
         _check_counters(trainer)
         programs = make_programs(trainer)
         estimate = estimate_memory(trainer)
@@ -132,6 +134,8 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
     hyper = stack_runs(job.group.runs)
     like = jax.eval_shape(job.programs.start, hyper)
     standing, notes = load_checkpoint(directory.path / "checkpoints", index, like)
+    if standing is not None:
+        standing.rows = _renamed(standing.rows, job.group.settings.env)
     where = f"after epoch {standing.epoch}" if standing else "from the beginning"
     for note in notes:
         print(f"{note}; going on {where}", file=sys.stderr)
@@ -139,6 +143,15 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
         with device_errors():
             standing = Standing(jax.block_until_ready(job.programs.start(hyper)))
     return standing
+
+
+def _renamed(rows: Sequence[str], env: str) -> list[str]:
+    """Lines of metrics.jsonl with the environment's name of today: its file may have moved."""
+    values = [json.loads(line) for line in rows]
+    return [
+        line if row.get("env") == env else json.dumps({**row, "env": env}) + "\n"
+        for line, row in zip(rows, values, strict=True)
+    ]
 
 
 def _train(
