@@ -46,9 +46,12 @@ def _folder() -> Path | None:
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not state.is_absolute():
         try:
-            state = Path.home() / ".local" / "state"
+            home = Path.home()
         except RuntimeError:  # neither HOME nor an entry in passwd
             return None
+        if os.environ.get("HOME") == "":  # Python takes that for the root directory
+            return None
+        state = home / ".local" / "state"
     return state / "cgm_jax" / "allowed" if state.is_absolute() else None
 
 
