@@ -40,9 +40,9 @@ bench: setup
 
 # Trained policies in Gymnasium-Robotics, whose MuJoCo is older and so has an environment of its own.
 transfer: setup $(VENV)-transfer/.installed
-	$(RUN) experiments/transfer.py $(ARGS)
+	$(RUN) -m experiments.physics.transfer $(ARGS)
 
-$(VENV)-transfer/.installed: experiments/transfer-requirements.txt
+$(VENV)-transfer/.installed: experiments/physics/transfer-requirements.txt
 	$(PYTHON) -m venv $(VENV)-transfer
 	$(VENV)-transfer/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	touch $@

@@ -13,6 +13,7 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
     results/     what is made of runs: figures, measured policies, videos
+    measuring/   how fast it is: what the benchmark measures
 
 The loop knows environments only through `envs.GoalEnvironment`. Importing the package registers
 the Fetch tasks with Gymnasium (gymnasium_names.py).

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.components import NAMES
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import name_own_code, parse, run_program
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.results.statistics import wilson_interval
@@ -39,7 +41,16 @@ class EvaluateOptions:
     env: tuple[str, ...] | None = None
     """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own. With a directory:
     a file that its policies were trained on, if it has moved, was edited, or was never named on
-    this machine."""
+    this machine; so --curriculum, --agent and --relabelling."""
+
+    curriculum: tuple[str, ...] | None = None
+    """See --env."""
+
+    agent: tuple[str, ...] | None = None
+    """See --env."""
+
+    relabelling: tuple[str, ...] | None = None
+    """See --env."""
 
     engine: str | None = None
     """auto, native, mjx or warp (default: what the run was trained on; auto for --random)."""
@@ -67,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
-    name_own_code({"env": [*(options.env or ())]})
+    name_own_code(_named(options))
     prepare_jax()
     outcomes = _evaluate(options)
     for line in _report(outcomes, options.mask):
@@ -129,11 +140,15 @@ def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
         filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
         engine=options.engine,
     )
-    named = list(options.env or ())
+    named = _named(options)
     if options.directory is None:
-        return {"random": evaluate_random(Settings(env=named[0]), plan)}
+        return {"random": evaluate_random(Settings(env=named["env"][0]), plan)}
     directory = RunDirectory.open(options.directory)
     return evaluate_directory(directory, plan, options.run, directory.moved(named))
+
+
+def _named(options: EvaluateOptions) -> dict[str, list[str]]:
+    return {setting: list(getattr(options, setting) or ()) for setting in NAMES}
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:

@@ -13,4 +13,4 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="cgm_jax-tests-")
 atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
-import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax

@@ -9,28 +9,36 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
-from cgm_jax.agents.ddpg import Parameters
-from cgm_jax.agents.networks import Actor
+from cgm_jax.agents.networks import Parameters, apply_actor
 from cgm_jax.agents.normaliser import Normaliser, network_input
 from cgm_jax.storage.arrays import read_arrays
 
-GREATEST_POLICY_BYTES = 2**30
+MAX_POLICY_BYTES = 2**30
 
 FORMAT = 2
 """Of policy files. Format 1 had no such entry, and clipped raw values to +-`raw_limit`."""
 
 
-def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.ndarray]:
+OPTIONAL = ("raw_limit", "mask_weights")
+"""Arrays of the first format, and of policies that see the mask."""
+
+
+def policy_arrays(
+    actor: Parameters, statistics: Normaliser, *, mask_input: bool = False
+) -> dict[str, np.ndarray]:
     """All arrays that the deterministic actor of one run needs.
 
     Args:
         actor: its parameters, `Agent.actor`.
         statistics: its normaliser.
+        mask_input: whether it sees which goal dimensions are masked.
 
     Returns:
         `layer_<i>_kernel` [in, out] and `layer_<i>_bias` [out]; `observation_mean`,
         `observation_std`, `goal_mean`, `goal_std`; the scalar `normalised_limit` to which
-        normalised inputs are clipped; and `format`.
+        normalised inputs are clipped; and `format`. Whatever else the networks see is 0 for the
+        full goal, and left out; but `mask_weights` [n, out] of the first layer, with
+        `mask_input`, serve masked goals.
     """
     arrays: dict[str, Any] = {"format": FORMAT, "normalised_limit": statistics.limit}
     for layer, parameters in actor["params"].items():
@@ -39,6 +47,12 @@ def policy_arrays(actor: Parameters, statistics: Normaliser) -> dict[str, np.nda
     for kind in ("observation", "goal"):
         running = getattr(statistics, kind)
         arrays[f"{kind}_mean"], arrays[f"{kind}_std"] = running.mean, running.std
+    goal = arrays["goal_mean"].shape[-1]
+    seen = arrays["observation_mean"].shape[-1] + goal
+    whole = arrays["layer_0_kernel"]
+    arrays["layer_0_kernel"] = whole[:seen]
+    if mask_input:
+        arrays["mask_weights"] = whole[seen : seen + goal]
     return {name: np.asarray(value, np.float32) for name, value in arrays.items()}
 
 
@@ -64,7 +78,7 @@ def load_policy(
             missing, not finite numbers, or of other sizes. The message names the file.
     """
     try:
-        arrays = read_arrays(path, GREATEST_POLICY_BYTES)
+        arrays = read_arrays(path, MAX_POLICY_BYTES)
     except ValueError as error:
         raise ValueError(f"not a readable policy file: {error}") from None
     try:
@@ -101,7 +115,7 @@ def _numbers(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     if missing := sorted(needed - set(arrays)):
         raise ValueError(f"not a policy file, it lacks {', '.join(missing)}")
     used = {}
-    for name in sorted(needed | ({"raw_limit"} & set(arrays))):
+    for name in sorted(needed | ({*OPTIONAL} & set(arrays))):
         if not np.issubdtype(arrays[name].dtype, np.floating):
             raise ValueError(f"not a policy file, {name} holds no real numbers")
         with np.errstate(over="ignore"):
@@ -123,6 +137,9 @@ def _check_layers(arrays: Mapping[str, np.ndarray]) -> None:
         if arrays[name].ndim or not arrays[name] > 0:
             raise ValueError(f"{name} is not one number above 0")
     width = arrays["observation_mean"].size + arrays["goal_mean"].size
+    shown = (arrays["goal_mean"].size, arrays["layer_0_bias"].size)
+    if "mask_weights" in arrays and arrays["mask_weights"].shape != shown:
+        raise ValueError(f"not a policy file, mask_weights do not have shape {shown}")
     for i in range(_layers(arrays)):
         kernel, bias = arrays[f"layer_{i}_kernel"], arrays[f"layer_{i}_bias"]
         if bias.ndim != 1 or not bias.size or kernel.shape != (width, bias.size):
@@ -131,14 +148,18 @@ def _check_layers(arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def act(
-    arrays: Mapping[str, jax.Array | np.ndarray], observation: jax.Array, goal: jax.Array
+    arrays: Mapping[str, jax.Array | np.ndarray],
+    observation: jax.Array,
+    goal: jax.Array,
+    mask: jax.Array | np.ndarray | None = None,
 ) -> jax.Array:
     """The deterministic action [..., a] of a policy file's arrays, in JAX.
 
     Args:
         arrays: as `load_policy` returns them.
         observation: [..., observation_size].
-        goal: [..., n], the desired goal.
+        goal: [..., n], the desired goal, masked if a mask is given.
+        mask: of all the goals, [n]; None for the full goal.
     """
     layers = _layers(arrays)
     parameters = {
@@ -147,7 +168,8 @@ def act(
         }
         for i in range(layers)
     }
-    widths = [parameters[f"layer_{i}"]["bias"].shape[-1] for i in range(layers)]
+    if mask is not None and "mask_weights" in arrays:
+        parameters["layer_0"]["bias"] += (1.0 - mask) @ arrays["mask_weights"]
     statistics = Normaliser(
         observation=_mean_std(arrays, "observation"),  # pyright: ignore[reportArgumentType]
         goal=_mean_std(arrays, "goal"),  # pyright: ignore[reportArgumentType]
@@ -157,8 +179,7 @@ def act(
         raw_limit = arrays["raw_limit"]
         observation, goal = (jnp.clip(x, -raw_limit, raw_limit) for x in (observation, goal))
     inputs = network_input(statistics, observation, goal)
-    actor = Actor(tuple(widths[:-1]), widths[-1])
-    return actor.apply({"params": parameters}, inputs)  # pyright: ignore[reportReturnType]
+    return apply_actor({"params": parameters}, inputs)
 
 
 def _mean_std(arrays: Mapping[str, jax.Array | np.ndarray], kind: str) -> NestedMeanStd:

@@ -13,13 +13,12 @@ import importlib.util
 import operator
 import os
 import shlex
-from collections.abc import Iterator
 from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
 from cgm_jax.config import allowed
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.user_code import Admit, load_file, neighbours_of, run_files, user_code
 
 _named_now: set[Path] = set()
@@ -73,18 +72,6 @@ def load_named(setting: str, text: str) -> Any:
     if not callable(found):
         raise SettingError(f"{setting}: {place} has no function or class {attribute!r}")
     return found
-
-
-def own_names(values: Any, setting: str = "") -> Iterator[tuple[str, str]]:
-    """Settings and their values that name something of the user's own, at any depth of a config."""
-    if isinstance(values, str) and is_own(values):
-        yield setting, values
-    elif isinstance(values, dict):
-        for name, value in values.items():
-            yield from own_names(value, name)
-    elif isinstance(values, list | tuple):
-        for value in values:
-            yield from own_names(value, setting)
 
 
 def files_of(text: str) -> dict[str, str]:

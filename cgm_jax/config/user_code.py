@@ -15,7 +15,7 @@ from pathlib import Path
 from types import CodeType, FrameType, ModuleType
 from typing import Any
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 
 PATIENCE_SECONDS = 10.0
 """After this a line says where the user's code stands; then after twice as long, and so on."""

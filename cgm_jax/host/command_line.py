@@ -1,10 +1,11 @@
-"""Options of the command-line programs, made from settings.py.
+"""Options of the command-line programs, made from the declarations of settings.
 
 Every setting is an option that takes one or more values. Bad input ends with one line and exit
-code 2: a bad value before JAX is imported, a bad environment or directory before anything
+code 2: a bad value before a device is touched, a bad environment or directory before anything
 compiles.
 """
 
+import ast
 import contextlib
 import dataclasses
 import io
@@ -17,21 +18,21 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
+from cgm_jax.config.components import NAMES, ROOMS, builtin, builtin_fields
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.host.exit_codes import ExitCode
 
 DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
 
-OWN_CODE = ("env",)
-"""Settings that may name code of the user's own, see config/named.py."""
-
-LONGEST_MESSAGE = 2000
+MAX_MESSAGE = 2000
 
 Options = TypeVar("Options")
 Switch = Literal["on", "off"]
+SWITCH = {"on": True, "off": False}
 
 
 def _option_type(item: "dataclasses.Field[Any]") -> Any:
@@ -45,8 +46,23 @@ def _option_type(item: "dataclasses.Field[Any]") -> Any:
 
 def _setting_options() -> list[tuple[str, Any, Any]]:
     """One option per setting, absent by default: then the preset decides."""
-    items = [*dataclasses.fields(Settings), *dataclasses.fields(Hyperparameters)]
-    return [(item.name, Annotated[_option_type(item), _appearance(item)], None) for item in items]
+    choices = [
+        (kind, Annotated[tuple[str, ...] | None, _choice_appearance(kind)], None) for kind in ROOMS
+    ]
+    items = (LOOP_FIELDS | builtin_fields()).values()
+    options = [
+        (item.name, Annotated[_option_type(item), _appearance(item)], None) for item in items
+    ]
+    return [*choices, *options]
+
+
+def _choice_appearance(kind: str) -> Any:
+    names = ", ".join(sorted(builtin(kind)))
+    return tyro.conf.arg(
+        help=f"{kind}: {names}, or FILE.py:NAME of your own",
+        metavar="NAME [NAME ...]",
+        help_behavior_hint="",
+    )
 
 
 def _appearance(item: "dataclasses.Field[Any]") -> Any:
@@ -81,8 +97,11 @@ class TrainingOptions(SettingOptions):
     """Directory for the results (default: runs/PRESET-TIME)."""
 
     resume: Path | None = None
-    """Directory of a sweep that was stopped: go on with it; takes no settings but --env, which
-    names a file again that has moved or was edited."""
+    """Directory of a sweep that was stopped: go on with it. Takes no settings; but files of your
+    own that have moved or were edited are named again, with --env and the like."""
+
+    set: tuple[str, ...] = ()
+    """Settings of a curriculum or agent of your own: NAME=VALUE, several values with commas."""
 
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
@@ -106,8 +125,8 @@ class TrainingOptions(SettingOptions):
             raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
         if self.resume is None:
             return False
-        # Own code that the config names may be named again: it has moved, or was edited.
-        settings = [name for name in chosen if name not in OWN_CODE]
+        # Own code may be named again: it has moved, or was edited.
+        settings = [name for name in chosen if name not in NAMES]
         others = [*settings, *(name for name in ("preset", "out") if getattr(self, name))]
         if others:
             raise SettingError(f"resume: goes on as it was begun, without {', '.join(others)}")
@@ -116,7 +135,7 @@ class TrainingOptions(SettingOptions):
 
 def name_own_code(grid: Grid) -> None:
     """What the user names on the command line may run."""
-    for setting in OWN_CODE:
+    for setting in NAMES:
         for text in grid.get(setting, ()):
             if is_own(text):
                 name_now(text)
@@ -132,9 +151,30 @@ def chosen_values(options: Any) -> Grid:
         if item.name == "hidden_layers":
             grid[item.name] = [values]  # several widths are one value
         else:
-            grid[item.name] = [{"on": True, "off": False}.get(value, value) for value in values]
+            grid[item.name] = [SWITCH.get(value, value) for value in values]
     name_own_code(grid)
-    return grid
+    return grid | dict(_own_setting(text) for text in options.set)
+
+
+def _own_setting(text: str) -> tuple[str, list[Any]]:
+    """NAME=VALUE,VALUE as a name and values.
+
+    Raises:
+        SettingError: it is not of that form.
+    """
+    name, equals, values = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise SettingError(f"set: {text!r} is not NAME=VALUE")
+    return name, [_plain_value(value) for value in values.split(",")]
+
+
+def _plain_value(text: str) -> Any:
+    if text in SWITCH:
+        return SWITCH[text]
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
 
 
 def seed_values(options: Any, grid: Grid) -> Grid:
@@ -179,7 +219,7 @@ def run_program(main: Callable[[], int]) -> NoReturn:
 def refuse(message: str) -> NoReturn:
     """End with one line and exit code 2."""
     line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
-    shown = line if len(line) <= LONGEST_MESSAGE else f"{line[:LONGEST_MESSAGE]}..."
+    shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
     print(f"error: {shown}", file=sys.stderr)
     sys.exit(ExitCode.BAD_INPUT)
 

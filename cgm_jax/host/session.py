@@ -7,8 +7,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgm_jax.config.grid import Group
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.components import NAMES
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run, structure
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import TrainingOptions
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
@@ -36,7 +38,10 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
     """
     out = options.resume or options.out or _default_directory(preset)
     with Interruption() as interruption:
-        moved = RunDirectory.open(out).moved(options.env or ()) if groups is None else {}
+        moved = {}
+        if groups is None:  # what own code the user names goes with what the directory holds
+            named = {kind: getattr(options, kind) or () for kind in NAMES}
+            moved = RunDirectory.open(out).moved(named)
         recorded = _recorded_groups(out, groups, moved)
         prepare_jax()
         import jax
@@ -88,14 +93,12 @@ def _recorded_groups(
 
 
 def _merged(groups: Sequence[Group]) -> list[Group]:
-    """Groups with parts of the same settings put together again."""
-    merged: list[Group] = []
+    """Groups with parts of the same program put together again."""
+    merged: dict[tuple[Settings, Any], list[Run]] = {}
     for group in groups:
-        if merged and merged[-1].settings == group.settings:
-            merged[-1] = Group(group.settings, merged[-1].runs + group.runs)
-        else:
-            merged.append(group)
-    return merged
+        program = structure(group.settings, group.runs[0].hyper)
+        merged.setdefault(program, []).extend(group.runs)
+    return [Group(settings, tuple(runs)) for (settings, _), runs in merged.items()]
 
 
 def _notes_on_resuming(

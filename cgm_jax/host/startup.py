@@ -1,7 +1,9 @@
-"""What a program does before it imports anything of JAX."""
+"""JAX's own settings, made before it touches a device."""
 
 import os
 from pathlib import Path
+
+import jax
 
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
 """LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as
@@ -18,8 +20,10 @@ def prepare_jax() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{OPTIMISATION_LEVEL}=1".strip()
-    cache = Path.home() / ".cache" / "cgm_jax" / "xla"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path.home() / ".cache" / "cgm_jax" / "xla"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
     import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax

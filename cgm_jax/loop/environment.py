@@ -1,8 +1,9 @@
 """The environment that a setting names: a Fetch task, or one from the user's own file."""
 
 from cgm_jax import envs
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import is_own, load_named
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.settings import Settings
 from cgm_jax.config.user_code import user_code
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment

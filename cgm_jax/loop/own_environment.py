@@ -16,7 +16,7 @@ import numpy as np
 from flax import struct
 from jax.extend.core import Jaxpr, jaxprs_in_params
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.user_code import user_code
 from cgm_jax.envs import GoalEnvironment
 
@@ -70,11 +70,18 @@ class OwnEnvironment:
         self.episode_length = _whole_number(env, name, "episode_length", LONGEST_EPISODE)
         self.distance_threshold = _distance_threshold(env, name)
         self.remarks: list[str] = []
+        if hasattr(env, "restart"):  # optional in the protocol
+            self.restart = self._restart
 
     def reset(self, rng: jax.Array) -> OwnState:
         """Start an episode."""
         state = self._env.reset(rng)
         return OwnState(jax.tree.map(_retyped, state, state), jnp.zeros(()))
+
+    def _restart(self, state: OwnState) -> OwnState:
+        """Start an episode in a state that another one has visited."""
+        after = self._env.restart(state.state)
+        return OwnState(_as_before(state.state, after), jnp.zeros(()))
 
     def step(self, state: OwnState, action: jax.Array) -> OwnState:
         """Advance by one control step."""
@@ -152,7 +159,12 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
     with user_code("env", f"step of {name}"):
         second = jax.eval_shape(env.step, first.state, action)
     _check_entries(second, f"step of {name}")
-    _check_alike(first.state, _with_unread_of(first.state, second), name)
+    _check_alike(first.state, _with_unread_of(first.state, second), name, "step")
+    if hasattr(env, "restart"):
+        with user_code("env", f"restart of {name}"):
+            again = jax.eval_shape(env.restart, first.state)
+        _check_entries(again, f"restart of {name}")
+        _check_alike(first.state, _with_unread_of(first.state, again), name, "restart")
     with user_code("env", f"jax.vmap over reset and step of {name}"):
         keys = jax.eval_shape(lambda: jax.random.split(key, (2, 3)))
         actions = jax.ShapeDtypeStruct((2, 3, own.action_size), np.float32)
@@ -182,8 +194,8 @@ def _check_entries(state: Any, function: str) -> None:
         )
 
 
-def _check_alike(first: Any, second: Any, name: str) -> None:
-    """Check that states after reset and after step can take each other's place."""
+def _check_alike(first: Any, second: Any, name: str, function: str) -> None:
+    """Check that states after reset and after another function can take each other's place."""
     leaves = [jax.tree_util.tree_flatten_with_path(state)[0] for state in (first, second)]
     after_reset, after_step = ({_path(path): leaf for path, leaf in part} for part in leaves)
     for path in sorted(set(after_reset) | set(after_step)):
@@ -191,10 +203,12 @@ def _check_alike(first: Any, second: Any, name: str) -> None:
         if here is None or there is None or not _convertible(there, here):
             raise SettingError(
                 f"env: {path} of {name} is {_described(here)} after reset "
-                f"and {_described(there)} after step"
+                f"and {_described(there)} after {function}"
             )
     if jax.tree.structure(first) != jax.tree.structure(second):
-        raise SettingError(f"env: reset and step of {name} return states of different structure")
+        raise SettingError(
+            f"env: reset and {function} of {name} return states of different structure"
+        )
 
 
 def _check_values(own: OwnEnvironment, name: str) -> None:

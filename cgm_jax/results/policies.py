@@ -11,15 +11,16 @@ from brax.envs.base import State
 from flax import struct
 
 from cgm_jax.agents.policy import act, load_policy
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
-from cgm_jax.curricula.masking import masked_distance
+from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.goals import is_achieved
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
-from cgm_jax.loop.rollout import Policy, Rollout, roll_out
+from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.replay.ring import Episodes
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -195,7 +196,7 @@ def _evaluate_group(
 
     def play(arrays: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array, Film | None]:
         def policy(observation: jax.Array, goal: jax.Array, _: Exploration | None) -> jax.Array:
-            return act(arrays, observation, goal)
+            return act(arrays, observation, goal, goal_mask(plan.mask, _goal_size(env)))
 
         return _play(env, policy, plan)
 
@@ -217,25 +218,27 @@ def _play(
 ) -> tuple[jax.Array, jax.Array, Film | None]:
     """Successes, valid episodes, and the film of one policy's episodes."""
     mask = jnp.asarray(goal_mask(plan.mask, _goal_size(env)))
-    masks = jnp.broadcast_to(mask, (plan.episodes, mask.size))
+    first = reset(env, jax.random.key(plan.seed), plan.episodes)
+    goals = drawn_goals(env, first)
+    goals = goals.replace(mask=jnp.broadcast_to(mask, goals.mask.shape))
 
     def keep(state: State) -> PhysicsState | None:
         return _first(plan.filmed, state.pipeline_state) if plan.filmed else None
 
-    rollout = roll_out(env, policy, jax.random.key(plan.seed), masks, exploration, keep)
-    success = rollout.valid & rollout.masked_success
-    film = _film(rollout, plan.filmed, env.distance_threshold) if plan.filmed else None
-    return jnp.sum(success), jnp.sum(rollout.valid), film
+    rollout = roll_out(env, policy, first, goals, exploration, keep=keep)
+    outcomes = rollout.outcomes
+    film = _film(rollout, plan.filmed) if plan.filmed else None
+    return jnp.sum(outcomes.valid & outcomes.success), jnp.sum(outcomes.valid), film
 
 
-def _film(rollout: Rollout, count: int, threshold: float) -> Film:
+def _film(rollout: Rollout, count: int) -> Film:
     shown: Episodes = _first(count, rollout.episodes)
-    goal, mask = shown.desired_goal[:, None], shown.mask[:, None]
+    goal, mask, threshold = (x[:, None] for x in (shown.desired_goal, shown.mask, shown.threshold))
     return Film(
         states=rollout.record,
         desired_goal=shown.desired_goal,
-        achieved=masked_distance(goal, mask, shown.achieved_goal) < threshold,
-        valid=rollout.valid[:count],
+        achieved=is_achieved(goal, mask, shown.achieved_goal, threshold),
+        valid=rollout.outcomes.valid[:count],
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 
 
 @contextlib.contextmanager

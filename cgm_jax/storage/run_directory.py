@@ -18,18 +18,20 @@ import os
 import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cgm_jax.config.grid import LONGEST_NAME, Group, Run
-from cgm_jax.config.named import absolute, is_own, own_names, require_named
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings, check
+from cgm_jax.config.components import NAMES
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import MAX_NAME, Group, Run, run_of, structure
+from cgm_jax.config.named import absolute, is_own, require_named
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.lock import locked
 from cgm_jax.storage.provenance import changes, moved_path, provenance
 
@@ -37,7 +39,10 @@ METRICS = "metrics.jsonl"
 CONFIG = "config.json"
 PARTS = (CONFIG, METRICS, "lock", "policies", "figures", "checkpoints")
 
-GREATEST_CONFIG_BYTES = 2**28
+UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
+"""What reading a config raises whose values are of other types than they should be."""
+
+MAX_CONFIG_BYTES = 2**28
 """Of a config with as many runs as a sweep may have."""
 
 
@@ -100,20 +105,19 @@ class RunDirectory:
         for group in groups:
             for run in group.runs:
                 _check_name(run.name)
-        config = {
-            "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
-            "preset": preset,
-            "started": _now(),
-            "groups": [
-                {
-                    "settings": asdict(group.settings),
-                    "runs": [{"name": run.name, **asdict(run.hyper)} for run in group.runs],
-                }
-                for group in groups
-            ],
-            **provenance(device, _own_names(groups)),
-        }
-        self._write_config(config)
+        self._write_config(
+            {
+                "format": FORMAT,
+                "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
+                "preset": preset,
+                "started": _now(),
+                "groups": [
+                    {"runs": [{"name": run.name, **run.values} for run in group.runs]}
+                    for group in groups
+                ],
+                **provenance(device, _own_names(groups)),
+            }
+        )
 
     def _write_config(self, config: Mapping[str, Any]) -> None:
         with replacing(self.path / CONFIG, durable=True) as file:
@@ -129,44 +133,48 @@ class RunDirectory:
             SettingError: the config is damaged, or names code that the user has not named.
         """
         try:
-            groups = [_group(entry) for entry in self._config()["groups"]]
+            config = _renamed(upgraded(self._config()), moved or {})
+            own = [(kind, text) for kind in NAMES for text in _recorded(config, kind)]
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        for kind, text in own:  # before anything is made of them
+            if is_own(text):
+                require_named(kind, text)
+        try:
+            groups = [_group(entry) for entry in config["groups"]]
             names = [run.name for group in groups for run in group.runs]
             if not names or len(set(names)) < len(names):
                 raise ValueError("it needs runs, each with a name of its own")
-        except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        except UNREADABLE as error:
             raise self._damaged(error) from None
-        groups = [_with_env(group, (moved or {}).get(group.settings.env)) for group in groups]
-        for group in groups:
-            for setting, text in own_names(asdict(group.settings)):
-                require_named(setting, text)
         return groups
 
-    def moved(self, named: Sequence[str]) -> dict[str, str]:
-        """Environments of the sweep that the user has named again, elsewhere.
+    def moved(self, named: Mapping[str, Sequence[str]]) -> dict[str, str]:
+        """Own code of the sweep that the user has named again, elsewhere.
 
         Args:
-            named: environments as the user names them now.
+            named: by setting, what the user names now.
 
         Returns:
-            From what the config calls them to what the user does. Those that are where they were
-            are not in it.
+            From what the config calls it to what the user does. What is where it was is not in it.
 
         Raises:
-            SettingError: the config is damaged, or one of `named` cannot be one of the sweep's.
+            SettingError: the config is damaged, or something named cannot be what it trains with.
         """
-        try:
-            recorded = {entry["settings"]["env"] for entry in self._config()["groups"]}
-            asked = {absolute(text) for text in named}
-            own = [text for text in recorded - asked if is_own(text)]
-        except (KeyError, TypeError, AttributeError) as error:
-            raise self._damaged(error) from None
-        moved = {}
-        for text in asked - recorded:
-            before = [old for old in own if _attribute(old) == _attribute(text)]
-            if not is_own(text) or len(before) != 1 or before[0] in moved:
-                trained = ", ".join(sorted(recorded))
-                raise SettingError(f"env: {self.path} was trained on {trained}, not on {text}")
-            moved[before[0]] = text
+        moved: dict[str, str] = {}
+        for kind, texts in named.items():
+            try:
+                recorded = _recorded(upgraded(self._config()), kind)
+            except UNREADABLE as error:
+                raise self._damaged(error) from None
+            asked = {absolute(text) for text in texts}
+            gone = [text for text in recorded if is_own(text) and text not in asked]
+            for text in sorted(asked - {*recorded}):
+                before = [old for old in gone if _attribute(old) == _attribute(text)]
+                if not is_own(text) or len(before) != 1 or before[0] in moved:
+                    there = ", ".join(recorded) or "none"
+                    raise SettingError(f"{kind}: {self.path} was trained with {there}, not {text}")
+                moved[before[0]] = text
         return moved
 
     def changes_since_begun(
@@ -176,7 +184,7 @@ class RunDirectory:
 
         Args:
             device: what JAX computes on now.
-            groups: of the sweep, whose environments have been made.
+            groups: of the sweep, whose own code has been loaded.
             moved: as `moved` returns it.
 
         Raises:
@@ -184,7 +192,7 @@ class RunDirectory:
         """
         try:
             return changes(self._config(), provenance(device, _own_names(groups)), moved)
-        except (KeyError, TypeError, AttributeError) as error:
+        except UNREADABLE as error:
             raise self._damaged(error) from None
 
     def record_resumption(self, changed: Sequence[str], moved: Mapping[str, str]) -> None:
@@ -196,26 +204,24 @@ class RunDirectory:
         """
         if not changed:
             return
-        config = self._config()
         try:
-            for entry in config["groups"]:
-                env = entry["settings"]["env"]
-                entry["settings"]["env"] = moved.get(env, env)
+            config = self._config()
             files = config.get("files", {})
-            config["files"] = {str(moved_path(name, moved)): files[name] for name in files}
-            config["resumed"] = [
-                *config.get("resumed", []),
-                {"time": _now(), "changed": list(changed)},
-            ]
-        except (KeyError, TypeError, AttributeError) as error:
+            entry = {"time": _now(), "changed": list(changed)}
+            config |= {
+                "groups": _renamed(config["groups"], moved),
+                "files": {str(moved_path(name, moved)): files[name] for name in files},
+                "resumed": [*config.get("resumed", []), entry],
+            }
+        except UNREADABLE as error:
             raise self._damaged(error) from None
         self._write_config(config)
 
     def _config(self) -> Any:
         path = self.path / CONFIG
         try:
-            if path.stat().st_size > GREATEST_CONFIG_BYTES:
-                raise ValueError(f"more than {GREATEST_CONFIG_BYTES:,} bytes")
+            if path.stat().st_size > MAX_CONFIG_BYTES:
+                raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
             return json.loads(path.read_bytes())
         except (OSError, ValueError, RecursionError) as error:
             raise self._damaged(error) from None
@@ -281,24 +287,37 @@ def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 def _group(entry: Any) -> Group:
     """A group of runs from its entry in the config; whatever is wrong with it raises."""
-    settings = dict(entry["settings"])
-    settings["hidden_layers"] = tuple(settings["hidden_layers"])
-    runs = []
+    pairs = []
     for values in entry["runs"]:
-        hyper = {name: value for name, value in values.items() if name != "name"}
-        _check_name(values["name"])
-        runs.append(Run(values["name"], Hyperparameters(**hyper)))
-        check(runs[-1].hyper)
-    return Group(Settings(**settings), tuple(runs))
+        values = dict(values)
+        name = values.pop("name")
+        _check_name(name)
+        if "hidden_layers" in values:
+            values["hidden_layers"] = tuple(values["hidden_layers"])
+        pairs.append(run_of(name, values))
+    settings = {structure(static, run.hyper): static for static, run in pairs}
+    ((_, static),) = settings.items()  # runs of one group share a program
+    return Group(static, tuple(run for _, run in pairs))
 
 
-def _with_env(group: Group, env: str | None) -> Group:
-    return replace(group, settings=replace(group.settings, env=env)) if env else group
+def _recorded(config: Any, kind: str) -> list[str]:
+    """What a config's runs have as their environment, or as another setting that is a name."""
+    runs = [run for group in config["groups"] for run in group["runs"] if kind in run]
+    return list(dict.fromkeys(run[kind] for run in runs if isinstance(run[kind], str)))
+
+
+def _renamed(values: Any, names: Mapping[str, str]) -> Any:
+    """A config, or a part of it, with other names for own code."""
+    if isinstance(values, str):
+        return names.get(values, values)
+    if isinstance(values, dict):
+        return {key: _renamed(value, names) for key, value in values.items()}
+    return [_renamed(value, names) for value in values] if isinstance(values, list) else values
 
 
 def _own_names(groups: Sequence[Group]) -> list[str]:
-    names = (text for group in groups for _, text in own_names(asdict(group.settings)))
-    return list(dict.fromkeys(names))
+    names = [run.values.get(kind) for group in groups for run in group.runs for kind in NAMES]
+    return list(dict.fromkeys(name for name in names if name and is_own(name)))
 
 
 def _attribute(text: str) -> str:
@@ -312,7 +331,7 @@ def _check_name(name: Any) -> None:
         ValueError: it is not.
     """
     sound = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
-    if not sound or not 0 < len(name.encode()) <= LONGEST_NAME:
+    if not sound or not 0 < len(name.encode()) <= MAX_NAME:
         raise SettingError(f"run: {str(name)[:60]!r} is no name for a file")
 
 

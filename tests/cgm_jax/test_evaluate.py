@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment

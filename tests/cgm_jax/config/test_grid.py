@@ -3,9 +3,10 @@ from typing import Any
 
 import pytest
 
+from cgm_jax.config.fields import SettingError, check
 from cgm_jax.config.grid import STATIC, build_groups, split
 from cgm_jax.config.presets import PRESETS
-from cgm_jax.config.settings import Hyperparameters, SettingError, check
+from cgm_jax.config.settings import Hyperparameters
 
 
 def names(options: dict[str, list[Any]]) -> list[str]:

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from cgm_jax.config import allowed, named, user_code
-from cgm_jax.config.named import label, load_named, name_now, own_names, require_named
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.named import label, load_named, name_now, require_named
 
 
 @pytest.fixture(autouse=True)
@@ -161,9 +161,13 @@ def name_and_load(text: str) -> None:
 
 def refused(text: str, complaint: str) -> None:
     """What a config.json names does not run; one line says how to name it."""
-    with pytest.raises(SettingError, match=complaint) as caught:
+
+    def load() -> None:
         require_named("env", text)
         load_named("env", text)
+
+    with pytest.raises(SettingError, match=complaint) as caught:
+        load()
     assert str(caught.value).endswith(f"if you trust it, name it: --env {text}")
 
 
@@ -269,11 +273,6 @@ def test_an_entry_is_for_one_path_and_one_content(tmp_path: Path) -> None:
     assert not allowed.remembers(tmp_path / "b.py", b"1")
     assert allowed.remembers_other(tmp_path / "a.py")
     assert not allowed.remembers_other(tmp_path / "b.py")
-
-
-def test_names_in_a_config_are_found_at_any_depth() -> None:
-    config = {"env": "push", "agent": {"kind": "a.py:A", "n": 3}, "hidden": [1, ["b.c:D"]]}
-    assert list(own_names(config)) == [("kind", "a.py:A"), ("hidden", "b.c:D")]
 
 
 def test_labels_are_names_for_files() -> None:

@@ -7,10 +7,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-
-from cgm_jax.config.settings import Hyperparameters, SettingError
-from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.loop.programs import make_programs
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState, stack
 from cgm_jax.loop.training import Trainer
 from tests.cgm_jax.probe import TINY

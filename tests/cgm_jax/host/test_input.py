@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from cgm_jax import sweep, train
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
 from cgm_jax.config.presets import PRESETS
-from cgm_jax.config.settings import FIELDS, SettingError
+from cgm_jax.config.settings import FIELDS
 from cgm_jax.host.command_line import run_program
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT

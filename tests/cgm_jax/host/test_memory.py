@@ -6,9 +6,11 @@ from pathlib import Path
 
 import jax
 import pytest
+from cgm_jax.loop.programs import make_programs
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.settings import Hyperparameters, SettingError
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host import memory, runner
 from cgm_jax.host.memory import (
     MemoryEstimate,
@@ -18,7 +20,6 @@ from cgm_jax.host.memory import (
     runs_that_fit,
     tree_bytes,
 )
-from cgm_jax.loop.programs import make_programs
 from cgm_jax.loop.state import stack
 from cgm_jax.loop.training import Trainer
 from tests.cgm_jax.probe import TINY

@@ -24,8 +24,9 @@ from brax.envs.base import State
 from jax.experimental.buffer_callback import buffer_callback
 
 from cgm_jax import sweep
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host import recorder, runner, session
 from cgm_jax.host.checkpoint import Standing
 from cgm_jax.results import figures

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from cgm_jax import envs
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Settings
 from cgm_jax.loop.environment import make_environment, remarks_on
-from cgm_jax.loop.rollout import roll_out
+from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
 from tests.cgm_jax import own_environments
 from tests.cgm_jax.own_environments import Base
 
@@ -111,7 +112,8 @@ def towards_the_goal(observation: jax.Array, goal: jax.Array, noise: Any) -> jax
 
 
 def play(env: Any) -> Any:
-    return roll_out(env, towards_the_goal, jax.random.key(3), jnp.ones((8, 2)))
+    first = reset(env, jax.random.key(3), 8)
+    return roll_out(env, towards_the_goal, first, drawn_goals(env, first))
 
 
 @pytest.mark.parametrize("name", ["BooleanDone", "Careless", "PlainNumbers"])
@@ -120,7 +122,7 @@ def test_what_training_does_not_read_cannot_break_it(name: str) -> None:
     np.testing.assert_allclose(
         rollout.episodes.achieved_goal, expected.episodes.achieved_goal, atol=1e-6
     )
-    assert rollout.valid.all()
+    assert rollout.outcomes.valid.all()
     assert rollout.success.all()
 
 
@@ -137,8 +139,8 @@ def test_what_an_environment_keeps_for_itself_is_kept() -> None:
 
 
 def test_physics_warnings_of_any_type_are_noticed() -> None:
-    assert not play(own("NaNWarning")).valid.any()
-    assert play(own("Careless")).valid.all()
+    assert not play(own("NaNWarning")).outcomes.valid.any()
+    assert play(own("Careless")).outcomes.valid.all()
 
 
 def test_numbers_of_numpy_and_jax_are_numbers() -> None:

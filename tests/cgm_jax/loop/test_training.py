@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from cgm_jax.config.grid import Run
-from cgm_jax.config.settings import Hyperparameters, SettingError
 from cgm_jax.loop.programs import compilations, make_programs, stack_runs
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Run
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.state import TrainingState, stack
 from cgm_jax.loop.training import Metrics, Trainer, deterministic_actor
 from tests.cgm_jax.probe import (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.lock import locked
 
 
