@@ -84,14 +84,14 @@ def load_policy(
     try:
         used = _numbers(arrays)
         _check_layers(used)
-        sizes = {"observation_mean": observation_size, "goal_mean": goal_size}
-        for name, size in sizes.items():
-            if size is not None and used[name].size != size:
-                kind = name.removesuffix("_mean")
-                raise ValueError(f"made for a {kind} of size {used[name].size}, not {size}")
-        acted = used[f"layer_{_layers(used) - 1}_bias"].size
-        if action_size is not None and acted != action_size:
-            raise ValueError(f"made for an action of size {acted}, not {action_size}")
+        sizes = {
+            "observations": (used["observation_mean"].size, observation_size),
+            "goals": (used["goal_mean"].size, goal_size),
+            "actions": (used[f"layer_{_layers(used) - 1}_bias"].size, action_size),
+        }
+        for kind, (size, wanted) in sizes.items():
+            if wanted not in (None, size):
+                raise ValueError(f"made for {kind} of size {size}, not {wanted}")
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     return used

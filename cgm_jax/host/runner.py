@@ -61,11 +61,10 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         parts = list(same)
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
         if settings not in trainers:
-            env = make_environment(settings)
-            notes += remarks_on(env)
-            trainers[settings] = make_trainer(env, settings)
+            trainers[settings] = make_trainer(make_environment(settings), settings)
         trainer = trainers[settings]
         _check_counters(trainer)
+        notes += [remark for remark in remarks_on(trainer.setup.env) if remark not in notes]
         estimate = estimate_memory(trainer, runs[0].hyper)
         if not planned:
             (whole,) = parts
