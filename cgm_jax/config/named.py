@@ -19,7 +19,14 @@ from typing import Any
 
 from cgm_jax.config import allowed
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.user_code import Admit, load_file, neighbours_of, run_files, user_code
+from cgm_jax.config.user_code import (
+    Admit,
+    is_code,
+    load_file,
+    neighbours_of,
+    run_files,
+    user_code,
+)
 
 _named_now: set[Path] = set()
 """Files that the user has named on this process's command line."""
@@ -152,12 +159,8 @@ def _file(setting: str, text: str) -> Path:
         raise SettingError(f"{setting}: {text!r} is neither FILE.py:NAME nor package.module:NAME")
     if not _is_file(text):
         return _file_of_module(setting, place)
-    path = Path(place)
-    try:
-        if place.endswith(".py") and path.is_file():
-            return path.resolve()
-    except OSError:  # such as a name that is too long
-        pass
+    if place.endswith(".py") and is_code(Path(place)):
+        return Path(place).resolve()
     raise SettingError(f"{setting}: {text!r} is not FILE.py:NAME with a file that exists")
 
 
@@ -175,6 +178,6 @@ def _file_of_module(setting: str, module: str) -> Path:
             spec = PathFinder.find_spec(name, locations) if locations is not None else None
     except (ImportError, ValueError, AttributeError):
         raise missing from None
-    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+    if spec is None or spec.origin is None or not is_code(Path(spec.origin)):
         raise missing
     return Path(spec.origin).resolve()

@@ -20,6 +20,8 @@ from cgm_jax.config.fields import SettingError
 PATIENCE_SECONDS = 10.0
 """After this a line says where the user's code stands; then after twice as long, and so on."""
 
+MAX_CODE_BYTES = 2**24
+
 Admit = Callable[[Path, bytes], None]
 """Is asked for every file with its bytes, just before they run; raises if they may not."""
 
@@ -162,11 +164,16 @@ def _admit(admit: Admit, path: Path, data: bytes) -> None:
 
 
 def digest_of(path: Path) -> str | None:
-    """SHA-256 of a file as it is now; None where there is none."""
+    """SHA-256 of a file of code as it is now; None where there is none."""
+    return sha256(path.read_bytes()).hexdigest() if is_code(path) else None
+
+
+def is_code(path: Path) -> bool:
+    """Whether a path is that of an ordinary file, of a size that code may have."""
     try:
-        return sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return None
+        return path.is_file() and path.stat().st_size <= MAX_CODE_BYTES
+    except OSError:  # such as a name that is too long
+        return False
 
 
 @contextlib.contextmanager

@@ -173,7 +173,7 @@ def _plain_value(text: str) -> Any:
         return SWITCH[text]
     try:
         return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, RecursionError, MemoryError):  # too deep
         return text
 
 
