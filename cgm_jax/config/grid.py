@@ -208,7 +208,7 @@ def _axis(grid: Grid, item: "Field[Any]") -> Sequence[Any]:
     values = _several(item.name, grid.get(item.name, [item.default]))
     for value in values:
         check_value(item, value)
-    return values
+    return _distinct(item.name, values)
 
 
 def _names(grid: Grid, kind: str) -> Sequence[str]:
@@ -220,12 +220,16 @@ def _names(grid: Grid, kind: str) -> Sequence[str]:
     names = _several(kind, grid.get(kind, [DEFAULTS[kind]]))
     for name in names:
         component(kind, name)
-    return names
+    return _distinct(kind, names)
 
 
 def _several(name: str, values: Any) -> Sequence[Any]:
     if not isinstance(values, list | tuple) or not values:
         raise SettingError(f"{name}: needs at least one value")
+    return values
+
+
+def _distinct(name: str, values: Sequence[Any]) -> Sequence[Any]:
     if len(set(values)) < len(values):
         raise SettingError(f"{name}: holds a value twice")
     return values

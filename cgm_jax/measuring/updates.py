@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.agents.protocol import Minibatch
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.measuring.figures import Figure, medians
 from cgm_jax.measuring.workload import cpu_group
 

@@ -23,7 +23,7 @@ from cgm_jax.curricula.masking import goal_masks, mask_success_rates
 from cgm_jax.loop.programs import stack_runs
 from matplotlib.figure import Figure
 
-from cgm_jax.agents.policy import act, load_policy
+from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.config.grid import Run
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.envs import GoalEnvironment

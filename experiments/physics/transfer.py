@@ -65,7 +65,7 @@ def play_here(policy: Path, task: str, there: dict[str, np.ndarray]) -> np.ndarr
     import jax.numpy as jnp
 
     from cgm_jax import envs
-    from cgm_jax.agents.policy import act, load_policy
+    from cgm_jax.storage.policies import act, load_policy
 
     env, arrays = envs.make(task), load_policy(policy)
 

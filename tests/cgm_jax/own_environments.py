@@ -2,7 +2,8 @@
 
 # Brax types the parts of its State as unknown.
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportIndexIssue=false, reportOptionalSubscript=false
+# pyright: reportGeneralTypeIssues=false
 
 import sys
 from typing import Any

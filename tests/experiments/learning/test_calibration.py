@@ -3,9 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.agents.policy import policy_arrays
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.training import Trainer
+from cgm_jax.storage.policies import policy_arrays
 from experiments.learning.calibration import success_per_mask
 from experiments.learning.calibration_errors import calibration_errors
 from tests.cgm_jax.probe import TINY, OneStepProbe, actor_that_needs_to_see_y

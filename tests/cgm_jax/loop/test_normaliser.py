@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.agents import normaliser as module
-from cgm_jax.agents.normaliser import Normaliser, network_input
+from cgm_jax.loop import normaliser as module
+from cgm_jax.loop.normaliser import Normaliser, network_input
 from cgm_jax.replay.ring import Episodes
 
 THRESHOLD = 0.05
@@ -28,6 +28,7 @@ def episodes(generator: np.random.Generator, count: int) -> Episodes:
         action=jnp.zeros((count, 5, 1)),
         desired_goal=jnp.asarray(generator.normal(-1.0, 0.5, (count, 1)), jnp.float32),
         mask=jnp.ones((count, 1)),
+        threshold=jnp.full(count, THRESHOLD),
     )
 
 

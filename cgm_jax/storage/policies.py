@@ -10,7 +10,7 @@ import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from cgm_jax.agents.networks import Parameters, apply_actor
-from cgm_jax.agents.normaliser import Normaliser, network_input
+from cgm_jax.loop.normaliser import Normaliser, network_input
 from cgm_jax.storage.arrays import read_arrays
 
 MAX_POLICY_BYTES = 2**30

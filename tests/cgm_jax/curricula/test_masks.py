@@ -5,17 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.masking import (
-    apply_mask,
-    empty_history,
+from cgm_jax.curricula.masks import (
     goal_masks,
-    joint_success_rates,
+    mask_indices,
     mask_probabilities,
     mask_success_rates,
-    masked_distance,
-    record_successes,
     sample_masks,
-    subgoal_rates,
 )
 
 CORNERS = list(itertools.product([0.0, 0.1, 0.5, 1.0], [0.0, 1.0, 32.0, 1000.0]))
@@ -93,65 +88,8 @@ def test_masks_are_drawn_as_often_as_their_probabilities_say() -> None:
     np.testing.assert_allclose(shares, probabilities, atol=0.015)  # four standard errors
 
 
-def test_masked_goals_keep_the_goal_where_the_mask_does() -> None:
-    goal, achieved = jnp.array([1.0, 2.0, 3.0]), jnp.array([7.0, 8.0, 9.0])
-    masked = apply_mask(goal, jnp.array([1.0, 0.0, 1.0]), achieved)
-    np.testing.assert_array_equal(masked, [1, 8, 3])
-    np.testing.assert_array_equal(apply_mask(goal, jnp.ones(3), achieved), goal)
-    np.testing.assert_array_equal(apply_mask(goal, jnp.zeros(3), achieved), achieved)
-
-
-def test_masked_distance_is_over_kept_dimensions() -> None:
-    goal, achieved = jnp.array([3.0, 5.0, 4.0]), jnp.array([0.0, 100.0, 0.0])
-    assert float(masked_distance(goal, jnp.array([1.0, 0.0, 1.0]), achieved)) == 5.0
-    assert float(masked_distance(goal, jnp.zeros(3), achieved)) == 0.0
-
-
-@pytest.mark.parametrize("c_g", [0.0, 0.1, 0.8, 1.0])
-@pytest.mark.parametrize("n", [1, 3, 12])
-def test_before_any_evaluation_the_full_goal_is_estimated_at_c_g(c_g: float, n: int) -> None:
-    rates = subgoal_rates(empty_history(10, n), c_g)
-    full_goal = mask_success_rates(goal_masks(n), rates)[-1]
-    assert float(full_goal) == pytest.approx(c_g, abs=1e-6)
-
-
-def test_history_matches_a_list_of_the_last_h_valid_rollouts() -> None:
-    generator = np.random.default_rng(0)
-    history, record = empty_history(10, 3), []
-    for count in (3, 4, 7, 25, 1):
-        successes = generator.integers(0, 2, (count, 3))
-        valid = generator.random(count) < 0.7
-        history = record_successes(history, jnp.asarray(successes), jnp.asarray(valid))
-        record += [row for row, ok in zip(successes, valid, strict=True) if ok]
-        np.testing.assert_allclose(
-            subgoal_rates(history, 0.1), np.mean(record[-10:], axis=0), rtol=1e-6
-        )
-
-
-def test_history_of_only_broken_rollouts_keeps_the_default() -> None:
-    history = record_successes(empty_history(10, 2), jnp.ones((4, 2)), jnp.zeros(4, bool))
-    np.testing.assert_allclose(subgoal_rates(history, 0.25), [0.5, 0.5])
-
-
-def test_joint_rates_are_shares_of_rollouts_that_achieved_all_kept_dimensions() -> None:
-    # x and y succeed together in two of four rollouts, and never alone: 0.5, not 0.25.
-    outcomes = jnp.array([[1, 1, 0], [0, 0, 1], [1, 1, 1], [0, 0, 0]])
-    history = record_successes(empty_history(10, 3), outcomes, jnp.ones(4, bool))
-    rates = joint_success_rates(goal_masks(3), history, 0.1)
-    np.testing.assert_allclose(rates, [1, 0.5, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25])
-    product = mask_success_rates(goal_masks(3), subgoal_rates(history, 0.1))
-    assert float(product[-1]) == pytest.approx(0.125)
-
-
-def test_joint_rates_start_as_the_product() -> None:
-    rates = joint_success_rates(goal_masks(3), empty_history(10, 3), 0.125)
-    np.testing.assert_allclose(rates, [1, 0.5, 0.5, 0.25, 0.5, 0.25, 0.25, 0.125], rtol=1e-6)
-
-
-@pytest.mark.parametrize("dimension", [0, 2])
-def test_joint_and_product_agree_on_single_dimensions(dimension: int) -> None:
-    outcomes = np.random.default_rng(1).integers(0, 2, (7, 3))
-    history = record_successes(empty_history(10, 3), jnp.asarray(outcomes), jnp.ones(7, bool))
-    single = jnp.zeros((1, 3)).at[0, dimension].set(1.0)
-    joint = joint_success_rates(single, history, 0.1)
-    np.testing.assert_allclose(joint, outcomes[:, dimension].mean(keepdims=True), rtol=1e-6)
+@pytest.mark.parametrize("n", [1, 3, 10])
+def test_indices_are_rows_of_the_table(n: int) -> None:
+    masks = goal_masks(n)
+    shuffled = np.random.default_rng(0).permutation(2**n)
+    np.testing.assert_array_equal(mask_indices(masks[shuffled]), shuffled)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.agents.normaliser import network_input
-from cgm_jax.agents.policy import act, load_policy, policy_arrays
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.normaliser import network_input
 from cgm_jax.loop.training import Trainer
+from cgm_jax.storage.policies import act, load_policy, policy_arrays
 from tests.cgm_jax.probe import TINY
 from tests.examples.point_mass import PointMass
 
