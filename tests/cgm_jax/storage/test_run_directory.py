@@ -204,7 +204,7 @@ CONFIGS = {
     '{"format": 2, "groups": [{"runs": [5]}]}': "TypeError",
     '{"format": 2, "groups": [{"runs": [{"name": "a", "env": 5}]}]}': "env: 5 is not of type str",
     '{"format": 2, "groups": [{"runs": [{"name": "a", "epochs": 1e999}]}]}': "epochs: inf",
-    '{"format": 2, "groups": [{"runs": [{"name": "a", "agent": ["b"]}]}]}': "Error",
+    '{"format": 2, "groups": [{"runs": [{"name": "a", "agent": ["b"]}]}]}': "agent: ",
     '{"format": 2, "groups": [{"runs": [{"name": "a"}, {"name": "a"}]}]}': "name of its own",
     "[" * 100_000: "RecursionError",
     '{"format": 2, "groups": ' + "[" * 900 + "]" * 900 + "}": "Error",
