@@ -23,7 +23,6 @@ from cgm_jax.curricula.masking import goal_masks, mask_success_rates
 from cgm_jax.loop.programs import stack_runs
 from matplotlib.figure import Figure
 
-from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.config.grid import Run
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.envs import GoalEnvironment
@@ -31,6 +30,7 @@ from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
 from cgm_jax.loop.rollout import roll_out
 from cgm_jax.results.figures import mask_label
+from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
 from experiments.learning.calibration_errors import ESTIMATES, MEASURED, calibration_errors
 from experiments.table import write_table
