@@ -22,6 +22,7 @@ from rich.table import Table
 
 from cgm_jax.config.grid import Group, Run, build_groups
 from cgm_jax.config.settings import SettingError
+from cgm_jax.host.allotment import available_cores
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.startup import prepare_jax
 
@@ -153,7 +154,7 @@ def _rollout_seconds(task: str, simulations: int, repeats: int) -> tuple[float, 
     from mujoco.batch import Batch
 
     from cgm_jax import envs
-    from cgm_jax.envs.physics.native import SENSOR_STAGE, available_cores
+    from cgm_jax.envs.physics.native import SENSOR_STAGE
 
     env = envs.make(task, engine="native")
     actions = jax.random.uniform(jax.random.key(0), (50, simulations, 4), minval=-1.0, maxval=1.0)

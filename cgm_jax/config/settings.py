@@ -109,6 +109,18 @@ def check(settings: Settings | Hyperparameters) -> None:
         check_value(item.name, getattr(settings, item.name))
 
 
+def check_concrete(hyper: Hyperparameters) -> None:
+    """Check those values that are Python's or numpy's, and not JAX's, which may be traced.
+
+    Raises:
+        SettingError: as `check`.
+    """
+    for item in dataclasses.fields(hyper):
+        value = getattr(hyper, item.name)
+        if isinstance(value, str | Real | None):
+            check_value(item.name, value)
+
+
 def check_value(name: str, value: Any) -> None:
     """Check one value of the setting `name`.
 

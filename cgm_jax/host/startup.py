@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+from cgm_jax.host.allotment import available_cores
+
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
 """LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as
 at the default and runs no slower: its time goes into matrix products and physics, which are
@@ -11,15 +13,25 @@ libraries. It has no effect on a GPU.
 
 
 def prepare_jax() -> None:
-    """Compile fast, keep compiled programs between processes, and keep MJX quiet.
+    """Compile fast, keep compiled programs between processes, and take the cores given.
 
     Variables and flags that the user has set are left alone.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{OPTIMISATION_LEVEL}=1".strip()
-    cache = Path.home() / ".cache" / "cgm_jax" / "xla"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    # Threads of XLA on a CPU, which by itself looks at the affinity alone.
+    os.environ.setdefault("PJRT_NPROC", str(available_cores()))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (cache := _cache_directory()) is not None:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(cache)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
-    import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+
+def _cache_directory() -> Path | None:
+    """Where compiled programs are kept; None if there is no home to keep them in."""
+    try:
+        cache = Path.home() / ".cache" / "cgm_jax" / "xla"
+        cache.mkdir(parents=True, exist_ok=True)
+    except (RuntimeError, OSError):  # no HOME and no passwd entry; or not to be written to
+        return None
+    return cache if os.access(cache, os.W_OK) else None

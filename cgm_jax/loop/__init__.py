@@ -6,3 +6,5 @@ rollout.py      episodes of many environments in one scan; exploration.py action
 training.py     a cycle, an epoch, evaluation
 programs.py     the compiled programs; divergence.py freezes a run that diverges
 """
+
+from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax

@@ -50,12 +50,13 @@ def roll_out(
     Args:
         env: the environment.
         policy: called once per step for all environments.
-        key: for the resets; consumed.
+        key: for the resets, one for all or one for each, [E]; consumed.
         masks: one goal mask per environment, [E, n].
         exploration: noise for every step, leading axes [T, E]; None for a policy without.
         keep: from the state of all environments to what becomes of it in `Rollout.record`.
     """
-    first = jax.vmap(env.reset)(jax.random.split(key, masks.shape[0]))
+    keys = key if key.ndim else jax.random.split(key, masks.shape[0])
+    first = jax.vmap(env.reset)(keys)
     goal = first.obs["desired_goal"]
 
     def step(state: State, noise: Exploration | None) -> tuple[State, tuple[Any, ...]]:

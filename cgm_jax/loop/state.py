@@ -11,7 +11,7 @@ from flax import struct
 
 from cgm_jax.agents.ddpg import Agent
 from cgm_jax.agents.normaliser import Normaliser
-from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.config.settings import Hyperparameters, check
 from cgm_jax.curricula.masking import SuccessHistory
 from cgm_jax.replay.ring import Replay
 
@@ -25,7 +25,12 @@ def stack(runs: Sequence[Hyperparameters]) -> Hyperparameters:
 
     Types are fixed per field (int32, float32, bool), whatever the values, so that two grids of
     the same length compile to the same program.
+
+    Raises:
+        SettingError: a value of another type, not finite, or out of its range.
     """
+    for run in runs:
+        check(run)
     kinds = {int: np.int32, float: np.float32, bool: np.bool_}
     leaves: dict[str, Any] = {}
     for field in dataclasses.fields(Hyperparameters):

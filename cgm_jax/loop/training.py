@@ -18,7 +18,7 @@ from jax.custom_batching import sequential_vmap
 
 from cgm_jax.agents.ddpg import DDPG, Agent, Minibatch, Parameters, prepare
 from cgm_jax.agents.normaliser import initial_normaliser, network_input, observe
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.config.settings import Hyperparameters, SettingError, Settings, check_concrete
 from cgm_jax.curricula.masking import (
     SuccessHistory,
     empty_history,
@@ -83,7 +83,13 @@ class Trainer:
         )
 
     def initial_state(self, hyper: Hyperparameters) -> TrainingState:
-        """The state of a run before any training; depends on `hyper.seed` alone."""
+        """The state of a run before any training; depends on `hyper.seed` alone.
+
+        Raises:
+            SettingError: a value of `hyper` is out of its range. Values that are traced cannot
+                be checked here.
+        """
+        check_concrete(hyper)
         observation_size, goal_size = self._sizes
         key, agent_key = jax.random.split(jax.random.key(hyper.seed))
         length = self.env.episode_length
@@ -195,23 +201,27 @@ class Trainer:
         policy = self._policy(state, deterministic_actor(self.settings, state.agent))
         rollout = roll_out(self.env, policy, reset_key, full)
         valid = rollout.valid
-        episodes = valid.sum()  # of which there may be none: 0 / 0 is NaN, written as null
+        episodes = valid.sum()
         mask_history, broken = self._measure_masks(state, policy, masked_key)
         statistics = state.statistics
         rates, probabilities = self.curriculum(state, hyper)
         metrics = {
             "env_steps": state.env_steps,
             "updates": state.agent.updates,
-            "success_rate": jnp.sum(valid & rollout.success) / episodes,
-            "subgoal_success": jnp.sum(valid[:, None] & rollout.subgoal_success, 0) / episodes,
+            "success_rate": _ratio(jnp.sum(valid & rollout.success), episodes),
+            "subgoal_success": _ratio(
+                jnp.sum(valid[:, None] & rollout.subgoal_success, 0), episodes
+            ),
             "mask_rate_estimated": rates,
-            "mask_rate_training": statistics.mask_successes / statistics.mask_episodes,
+            "mask_rate_training": _ratio(statistics.mask_successes, statistics.mask_episodes),
             "mask_probability": probabilities,
-            "mask_share": statistics.mask_episodes / statistics.mask_episodes.sum(),
-            "moved_share": statistics.moved_episodes / statistics.mask_episodes.sum(),
+            "mask_share": _ratio(statistics.mask_episodes, statistics.mask_episodes.sum()),
+            "moved_share": _ratio(statistics.moved_episodes, statistics.mask_episodes.sum()),
             "physics_warnings": statistics.physics_warnings + jnp.sum(~valid) + broken,
             "failure": state.failure,
-            **{name: total / statistics.updates for name, total in statistics.losses.items()},
+            **{
+                name: _ratio(total, statistics.updates) for name, total in statistics.losses.items()
+            },
         }
         return state.replace(
             key=key,
@@ -282,6 +292,15 @@ class Trainer:
         return state.replace(
             agent=agent, failure=failure, statistics=_add_losses(state.statistics, losses)
         )
+
+
+def _ratio(total: jax.Array, count: jax.Array) -> jax.Array:
+    """A mean of `count` things; of none it is not a number, which is written as null.
+
+    While JAX searches for NaN it must not find this one, so that it is infinite then.
+    """
+    none = -jnp.inf if jax.config.jax_debug_nans else jnp.nan  # pyright: ignore
+    return jnp.where(count > 0, total / jnp.maximum(count, 1), none)
 
 
 def deterministic_actor(settings: Settings, agent: Agent) -> Parameters:
