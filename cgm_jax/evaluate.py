@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import owns_process, parse, run_program
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax

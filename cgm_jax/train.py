@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.presets import preset_grid
-from cgm_jax.config.settings import SettingError
 from cgm_jax.host.command_line import TrainingOptions, chosen_values, parse, run_program
 from cgm_jax.host.session import train_groups
 
@@ -28,9 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     preset = options.preset or "cpu"
     if options.resumes(chosen):
         return train_groups(options, preset, None)
-    grid = preset_grid(preset)
-    first = {name: values[:1] for name, values in grid.items() if len(values) > 1}
-    return train_groups(options, preset, build_groups(preset, {**first, **chosen}))
+    return train_groups(options, preset, build_groups(preset, chosen, single=True))
 
 
 if __name__ == "__main__":

@@ -1,220 +1,183 @@
-"""Goal-conditioned deep deterministic policy gradient (Lillicrap et al. 2016).
+"""Goal-conditioned deep deterministic policy gradient (DDPG; Lillicrap et al. 2016).
 
-The actor may be updated less often than the critic (Fujimoto et al. 2018).
+    critic: (r + gamma Q'(s', pi'(s')) - Q(s, a))^2      actor: -Q(s, pi(s)) + penalty |pi(s)|^2
+
+As in OpenAI baselines' HER, targets are clipped to what returns can be. Beyond it: targets may move
+at every update, the actor may learn less often than the critics (Fujimoto et al. 2018), the target
+actor may be the one that is evaluated, and there may be several critics: each learns from its own
+target, and the actor climbs their mean.
+
+    python -m cgm_jax.train --agent ddpg --hidden-layers 256 256 256
 """
-
-from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
 
-from cgm_jax.agents.networks import Actor, Critic
-from cgm_jax.agents.normaliser import Normaliser, network_input
-from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.replay.relabelling import Transitions
+from cgm_jax.agents.gradients import ADAM, clip_return, descend, follow, in_rounds
+from cgm_jax.agents.networks import apply_actor, apply_critic, initial_actor, initial_critic
+from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
+from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.sizes import Sizes
 
-Parameters = Any
 
-
-class Agent(struct.PyTreeNode):
-    """Networks, targets and optimiser states of one run; `updates` counts the updates."""
+class DDPGState(struct.PyTreeNode):
+    """Networks, targets and optimiser states; `critic` holds as many as there are critics."""
 
     actor: Parameters
-    critic: Parameters
+    critic: tuple[Parameters, ...]
     target_actor: Parameters
-    target_critic: Parameters
+    target_critic: tuple[Parameters, ...]
     actor_optimiser: optax.OptState
     critic_optimiser: optax.OptState
     updates: jax.Array
 
 
-class Minibatch(struct.PyTreeNode):
-    """Transitions with goals and observations as the networks take them."""
+@settings
+class DDPG(Agent[DDPGState]):
+    """The paper's agent. Its settings, with the names of the options."""
 
-    inputs: jax.Array
-    action: jax.Array
-    reward: jax.Array
-    next_inputs: jax.Array
+    actor_learning_rate: float = traced(1e-3, "Adam step size of the actor", 0)
+    critic_learning_rate: float = traced(1e-3, "Adam step size of the critics", 0)
+    discount: float = traced(0.98, "discount factor gamma", 0, 0.9999)
+    target_rate: float = traced(0.05, "how far targets move towards the networks", 0, 1)
+    action_penalty: float = traced(1.0, "weight of mean squared action in the actor loss", 0)
+    hidden_layers: tuple[int, ...] = static((256, 256, 256), "widths of hidden layers", 1, 10**5)
+    critics: int = static(1, "critics that learn side by side", 1, 100)
+    target_update_every: int = static(40, "updates between moves of the targets", 1, 10**9)
+    actor_update_every: int = static(1, "updates of the critics for each of the actor", 1, 10**6)
+    evaluate_target: bool = static(False, "evaluate and export the target actor")
 
+    def init(self, key: jax.Array, sizes: Sizes) -> DDPGState:
+        """Fresh networks, with targets equal to them.
 
-def prepare(normaliser: Normaliser, transitions: Transitions) -> Minibatch:
-    """Normalise transitions of any leading shape."""
-    return Minibatch(
-        inputs=network_input(normaliser, transitions.observation, transitions.goal),
-        action=transitions.action,
-        reward=transitions.reward,
-        next_inputs=network_input(normaliser, transitions.next_observation, transitions.next_goal),
-    )
-
-
-@dataclass(frozen=True)
-class DDPG:
-    """The algorithm: static structure, with pure functions over an `Agent`.
-
-    Attributes:
-        input_size: size of normalised observation and goal together.
-        action_size: number of action dimensions.
-        hidden_layers: widths of both networks.
-        target_update_every: updates between moves of the target networks.
-        actor_update_every: updates of the critic for each of the actor.
-    """
-
-    input_size: int
-    action_size: int
-    hidden_layers: tuple[int, ...]
-    target_update_every: int
-    actor_update_every: int = 1
-
-    @property
-    def _actor(self) -> Actor:
-        return Actor(self.hidden_layers, self.action_size)
-
-    @property
-    def _critic(self) -> Critic:
-        return Critic(self.hidden_layers)
-
-    @property
-    def _adam(self) -> optax.GradientTransformation:
-        # Without its step size, which is traced and differs between runs.
-        return optax.scale_by_adam()
-
-    def initial_agent(self, key: jax.Array) -> Agent:
-        """Fresh networks, with targets equal to them."""
-        actor_key, critic_key = jax.random.split(key)
-        inputs, action = jnp.zeros(self.input_size), jnp.zeros(self.action_size)
-        actor = self._actor.init(actor_key, inputs)
-        critic = self._critic.init(critic_key, inputs, action)
-        return Agent(
+        Raises:
+            SettingError: actor_update_every does not divide updates_per_cycle.
+        """
+        check_rounds(self.actor_update_every, sizes)
+        actor_key, *critic_keys = jax.random.split(key, 1 + self.critics)
+        shape = (self.hidden_layers, sizes.inputs, sizes.action)
+        actor = initial_actor(actor_key, *shape)
+        critic = tuple(initial_critic(critic_key, *shape) for critic_key in critic_keys)
+        return DDPGState(
             actor=actor,
             critic=critic,
             target_actor=actor,
             target_critic=critic,
-            actor_optimiser=self._adam.init(actor),
-            critic_optimiser=self._adam.init(critic),
+            actor_optimiser=ADAM.init(actor),
+            critic_optimiser=ADAM.init(critic),
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def act(self, actor: Parameters, inputs: jax.Array) -> jax.Array:
-        """The actor's action [..., action_size] for normalised inputs [..., input_size]."""
-        return self._actor.apply(actor, inputs)  # pyright: ignore[reportReturnType]
+    def act(self, state: DDPGState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+        """The actor's action, without noise."""
+        del key
+        return apply_actor(state.actor, inputs)
 
-    def value(self, critic: Parameters, inputs: jax.Array, action: jax.Array) -> jax.Array:
-        """The critic's estimate [...] of the return of `action` in `inputs`."""
-        return self._critic.apply(critic, inputs, action)  # pyright: ignore[reportReturnType]
+    def value(self, state: DDPGState, inputs: jax.Array, action: jax.Array) -> jax.Array:
+        """What each critic expects, [critics, ...]."""
+        return values(state.critic, inputs, action)
+
+    def actor(self, state: DDPGState) -> Parameters:
+        """The actor, or its target.
+
+        The target actor, an average over recent updates, swings less from one evaluation to the
+        next than the actor itself.
+        """
+        return state.target_actor if self.evaluate_target else state.actor
 
     def critic_loss(
-        self, critic: Parameters, agent: Agent, batch: Minibatch, hyper: Hyperparameters
-    ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Mean squared error to the bootstrapped target, clipped to what returns can be.
-
-        Rewards are -1 or 0 and no state is terminal, so that returns lie in
-        [-1 / (1 - gamma), 0].
-        """
-        next_action = self.act(agent.target_actor, batch.next_inputs)
-        next_value = self.value(agent.target_critic, batch.next_inputs, next_action)
-        target = batch.reward + hyper.discount * next_value
-        target = jnp.clip(target, -1.0 / (1.0 - hyper.discount), 0.0)
-        value = self.value(critic, batch.inputs, batch.action)
-        loss = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value))
-        return loss, {"critic_loss": loss, "value": value.mean()}
+        self, critic: tuple[Parameters, ...], state: DDPGState, batch: Minibatch
+    ) -> tuple[jax.Array, Info]:
+        """Mean squared error of each critic to its own bootstrapped target, summed over critics."""
+        next_action = apply_actor(state.target_actor, batch.next_inputs)
+        losses, means = [], []
+        for one, its_target in zip(critic, state.target_critic, strict=True):
+            next_value = apply_critic(its_target, batch.next_inputs, next_action)
+            target = clip_return(batch.reward + self.discount * next_value, self.discount)
+            value = apply_critic(one, batch.inputs, batch.action)
+            losses.append(jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value)))
+            means.append(value.mean())
+        loss, value = jnp.asarray(sum(losses)), jnp.asarray(sum(means))
+        return loss, {"critic_loss": loss / self.critics, "value": value / self.critics}
 
     def actor_loss(
-        self, actor: Parameters, agent: Agent, batch: Minibatch, hyper: Hyperparameters
-    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        self, actor: Parameters, state: DDPGState, batch: Minibatch
+    ) -> tuple[jax.Array, Info]:
         """Minus the value of the actor's actions, plus a penalty on their mean square."""
-        action = self.act(actor, batch.inputs)
-        loss = -jnp.mean(self.value(agent.critic, batch.inputs, action))
-        loss += hyper.action_penalty * jnp.mean(jnp.square(action))
+        action = apply_actor(actor, batch.inputs)
+        means = [jnp.mean(apply_critic(one, batch.inputs, action)) for one in state.critic]
+        loss = -sum(means) / self.critics
+        loss += self.action_penalty * jnp.mean(jnp.square(action))
         return loss, {"actor_loss": loss}
 
-    def train(
-        self, agent: Agent, batches: Minibatch, hyper: Hyperparameters
-    ) -> tuple[Agent, dict[str, jax.Array]]:
-        """One update per minibatch, every `actor_update_every`-th of them of both networks.
-
-        Args:
-            agent: before.
-            batches: [updates, batch, ...]; `actor_update_every` divides the first axis.
-            hyper: of the run.
+    def train(self, state: DDPGState, batches: Minibatch, key: jax.Array) -> tuple[DDPGState, Info]:
+        """One update per minibatch, every `actor_update_every`-th of them of all networks.
 
         Returns:
-            The agent, and what `update` returned for each update of both networks.
+            The state, and what `update` returned for each update of all networks.
         """
+        del key
         every = self.actor_update_every
 
-        def train_round(agent: Agent, batches: Minibatch) -> tuple[Agent, dict[str, jax.Array]]:
+        def train_round(state: DDPGState, batches: Minibatch) -> tuple[DDPGState, Info]:
             if every > 1:
                 for_critic = jax.tree.map(lambda rows: rows[:-1], batches)
-                agent, _ = jax.lax.scan(
-                    lambda agent, batch: self.update_critic(agent, batch, hyper), agent, for_critic
-                )
-            return self.update(agent, jax.tree.map(lambda rows: rows[-1], batches), hyper)
+                state, _ = jax.lax.scan(self.update_critic, state, for_critic)
+            return self.update(state, jax.tree.map(lambda rows: rows[-1], batches))
 
-        rounds = jax.tree.map(lambda rows: rows.reshape(-1, every, *rows.shape[1:]), batches)
-        return jax.lax.scan(train_round, agent, rounds)
+        return jax.lax.scan(train_round, state, in_rounds(batches, every))
 
-    def update(
-        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
-    ) -> tuple[Agent, dict[str, jax.Array]]:
-        """One gradient step on both networks, both from their present weights; targets follow.
+    def update(self, state: DDPGState, batch: Minibatch) -> tuple[DDPGState, Info]:
+        """One gradient step on all networks, each from the present weights; targets follow.
 
         Returns:
-            The agent, and scalars to log: critic_loss, actor_loss, value.
+            The state, and scalars to log: critic_loss, actor_loss, value.
         """
-        # The actor first: its loss needs the critic, whose own loss needs only the target actor.
-        agent, actor_info = self._improve_actor(agent, batch, hyper)
-        agent, critic_info = self._improve_critic(agent, batch, hyper)
-        return self._follow(agent, hyper), {**critic_info, **actor_info}
+        # The actor first: its loss needs the critics, whose own loss needs only the target actor.
+        gradient, actor_info = jax.grad(self.actor_loss, has_aux=True)(state.actor, state, batch)
+        actor, optimiser = descend(
+            state.actor, gradient, state.actor_optimiser, self.actor_learning_rate
+        )
+        state = state.replace(actor=actor, actor_optimiser=optimiser)
+        state, critic_info = self.update_critic(state, batch)
+        return state, {**critic_info, **actor_info}
 
-    def update_critic(
-        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
-    ) -> tuple[Agent, dict[str, jax.Array]]:
-        """One gradient step on the critic alone; targets follow.
+    def update_critic(self, state: DDPGState, batch: Minibatch) -> tuple[DDPGState, Info]:
+        """One gradient step on the critics alone; targets follow.
 
         Returns:
-            The agent, and scalars to log: critic_loss, value.
+            The state, and scalars to log: critic_loss, value.
         """
-        agent, info = self._improve_critic(agent, batch, hyper)
-        return self._follow(agent, hyper), info
-
-    def _improve_actor(
-        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
-    ) -> tuple[Agent, dict[str, jax.Array]]:
-        gradient, info = jax.grad(self.actor_loss, has_aux=True)(agent.actor, agent, batch, hyper)
-        actor, optimiser = self._descend(
-            agent.actor, gradient, agent.actor_optimiser, hyper.actor_learning_rate
+        gradient, info = jax.grad(self.critic_loss, has_aux=True)(state.critic, state, batch)
+        critic, optimiser = descend(
+            state.critic, gradient, state.critic_optimiser, self.critic_learning_rate
         )
-        return agent.replace(actor=actor, actor_optimiser=optimiser), info
-
-    def _improve_critic(
-        self, agent: Agent, batch: Minibatch, hyper: Hyperparameters
-    ) -> tuple[Agent, dict[str, jax.Array]]:
-        gradient, info = jax.grad(self.critic_loss, has_aux=True)(agent.critic, agent, batch, hyper)
-        critic, optimiser = self._descend(
-            agent.critic, gradient, agent.critic_optimiser, hyper.critic_learning_rate
+        state = state.replace(critic=critic, critic_optimiser=optimiser, updates=state.updates + 1)
+        target_actor, target_critic = follow(
+            (state.actor, state.critic),
+            (state.target_actor, state.target_critic),
+            state.updates,
+            self.target_update_every,
+            self.target_rate,
         )
-        return agent.replace(critic=critic, critic_optimiser=optimiser), info
+        return state.replace(target_actor=target_actor, target_critic=target_critic), info
 
-    def _follow(self, agent: Agent, hyper: Hyperparameters) -> Agent:
-        """Count an update, and move the targets if it is time."""
-        updates = agent.updates + 1
-        rate = jnp.where(updates % self.target_update_every == 0, hyper.target_rate, 0.0)
-        return agent.replace(
-            target_actor=optax.incremental_update(agent.actor, agent.target_actor, rate),
-            target_critic=optax.incremental_update(agent.critic, agent.target_critic, rate),
-            updates=updates,
+
+def values(critics: tuple[Parameters, ...], inputs: jax.Array, action: jax.Array) -> jax.Array:
+    """What each critic expects of actions, [critics, ...]."""
+    return jnp.stack([apply_critic(critic, inputs, action) for critic in critics])
+
+
+def check_rounds(actor_update_every: int, sizes: Sizes) -> None:
+    """Check that updates come in whole rounds, of which the last is also the actor's.
+
+    Raises:
+        SettingError: they do not.
+    """
+    if sizes.updates_per_cycle % actor_update_every:
+        raise SettingError(
+            f"actor_update_every: {actor_update_every} does not divide "
+            f"updates_per_cycle, {sizes.updates_per_cycle}"
         )
-
-    def _descend(
-        self,
-        parameters: Parameters,
-        gradient: Parameters,
-        optimiser: optax.OptState,
-        learning_rate: float | jax.Array,
-    ) -> tuple[Parameters, optax.OptState]:
-        direction, optimiser = self._adam.update(gradient, optimiser)
-        step = jax.tree.map(lambda leaf: -learning_rate * leaf, direction)
-        return optax.apply_updates(parameters, step), optimiser

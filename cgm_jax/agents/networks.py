@@ -1,10 +1,13 @@
-"""Shapes of the actor and the critic."""
+"""Shapes of the actor and the critic, and how their parameters are made and applied."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+
+Parameters = Any
 
 
 class Actor(nn.Module):
@@ -38,6 +41,37 @@ class Critic(nn.Module):
         """The value [...] of action [..., action_size] in inputs [..., input_size]."""
         inputs = jnp.concatenate([inputs, action], axis=-1)
         return _perceptron(inputs, self.hidden_layers, 1)[..., 0]
+
+
+def initial_actor(
+    key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
+) -> Parameters:
+    """Parameters of an actor for so many inputs and action dimensions."""
+    return Actor(hidden_layers, actions).init(key, jnp.zeros(inputs))
+
+
+def initial_critic(
+    key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
+) -> Parameters:
+    """Parameters of a critic for so many inputs and action dimensions."""
+    return Critic(hidden_layers).init(key, jnp.zeros(inputs), jnp.zeros(actions))
+
+
+def apply_actor(parameters: Parameters, inputs: jax.Array) -> jax.Array:
+    """The action [..., action_size] of an actor for inputs [..., input_size]."""
+    *hidden, actions = _widths(parameters)
+    return Actor(hidden, actions).apply(parameters, inputs)  # pyright: ignore[reportReturnType]
+
+
+def apply_critic(parameters: Parameters, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    """A critic's estimate [...] of the return of actions in inputs."""
+    hidden = _widths(parameters)[:-1]
+    return Critic(hidden).apply(parameters, inputs, action)  # pyright: ignore[reportReturnType]
+
+
+def _widths(parameters: Parameters) -> list[int]:
+    layers = parameters["params"]
+    return [layers[f"layer_{i}"]["bias"].shape[-1] for i in range(len(layers))]
 
 
 def _perceptron(inputs: jax.Array, hidden_layers: Sequence[int], output_size: int) -> jax.Array:

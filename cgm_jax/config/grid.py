@@ -1,38 +1,52 @@
-"""From lists of values to runs, and from runs to programs.
+"""From lists of values to runs, and from runs to groups that one program trains.
 
-Runs that differ only in traced settings share one compiled program. The environment is the
-one static axis that a sweep may have: its values run one after another.
+Every setting may be swept. Runs that differ only in traced settings share one compiled program;
+each combination of static ones (batch size, layers, curriculum, agent, environment, ...) has a
+program of its own, and they run one after another.
 """
 
 import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import jax
+
+from cgm_jax.config.components import ROOMS, component
+from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
+from cgm_jax.config.named import absolute
 from cgm_jax.config.presets import Grid, preset_grid
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings, check_value
+from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
 
-TRACED = tuple(item.name for item in dataclasses.fields(Hyperparameters))
-CGM_ONLY = ["c_g", "kappa", "factorised"]
-HER_ONLY = ["her_k", "her_filter"]
-STATIC = tuple(item.name for item in dataclasses.fields(Settings))
+MAX_RUNS = 100_000
 
-
-GREATEST_NUMBER_OF_RUNS = 100_000
-
-LONGEST_NAME = 200
+MAX_NAME = 200
 """Bytes of a run's name; files may have 255, of which their endings take some."""
+
+DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
+STATIC = [item.name for item in dataclasses.fields(Settings)]
+TRACED = [item.name for item in declared(Hyperparameters)]
+
+Values = dict[str, Any]
+"""One run: the value of every setting that it has, by name, components by theirs."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One training run of a sweep."""
+    """One training run of a sweep.
+
+    Attributes:
+        name: tells it from the others; also a file name.
+        hyper: its settings.
+        values: the same by name, with those that its group shares.
+    """
 
     name: str
     hyper: Hyperparameters
+    values: Values = dataclasses.field(compare=False, hash=False)
 
 
 @dataclass(frozen=True)
@@ -42,29 +56,95 @@ class Group:
     settings: Settings
     runs: tuple[Run, ...]
 
+    def hyper(self) -> Hyperparameters:
+        """Settings of all runs, every leaf [runs]."""
+        return stack([run.hyper for run in self.runs])
 
-def build_groups(preset: str, options: Grid) -> list[Group]:
-    """All runs of a sweep, one group per environment.
+
+def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Group]:
+    """All runs of a sweep, one group per compiled program.
 
     Args:
         preset: a name in `presets.PRESETS`.
         options: lists of values that replace the preset's.
+        single: of the preset's lists take the first value only.
 
     Raises:
-        SettingError: an empty list, several values of a static setting other than `env`, a
-            value out of range, the same value twice, or runs that would share a name.
+        SettingError: an empty list, a value out of range, the same value twice, an option that no
+            chosen component has, or runs that would share a name.
     """
-    groups = []
-    for env in _values({**preset_grid(preset), **options}, "env", Settings.env):
-        grid = {**preset_grid(preset, env), **options, "env": [_absolute(env)]}
-        for name, values in grid.items():
-            _check_axis(name, values)
-        settings = Settings(**{name: grid[name][0] for name in STATIC if name in grid})
-        groups.append(Group(settings, _runs(grid, env)))
-    names = [run.name for group in groups for run in group.runs]
+    runs: list[tuple[Settings, Run]] = []
+    used: dict[str, Any] = {}
+    most = 1 if single else None
+    ours = {name: values[:most] for name, values in preset_grid(preset).items()}
+    for env in _axis({**ours, **options}, LOOP_FIELDS["env"]):
+        ours = {name: values[:most] for name, values in preset_grid(preset, env).items()}
+        grid = {**ours, **options, "env": [env]}
+        for values in _combinations(grid):
+            used |= values
+            runs.append(_settings_and_run(values, _swept(grid, values)))
+    for name in options:
+        if name not in used:
+            chosen = ", ".join(f"{kind} {used[kind]}" for kind in ROOMS)
+            raise SettingError(f"{name}: is no setting of {chosen}")
+    names = [run.name for _, run in runs]
     if len(set(names)) < len(names):
         raise SettingError("env: two environments would give their runs the same names")
-    return groups
+    return _grouped(runs)
+
+
+def hyperparameters(**values: Any) -> Hyperparameters:
+    """Settings of one run from values by name, of the loop and of its components alike.
+
+    Raises:
+        SettingError: no component has such a setting, or a value is out of its range.
+    """
+    made = {}
+    for kind, default in DEFAULTS.items():
+        found = component(kind, values.pop(kind, default))
+        own = {item.name for item in declared(found)}
+        made[kind] = found(**{name: values[name] for name in own & set(values)})
+    taken = {item.name for part in made.values() for item in declared(part)}
+    rest = {name: value for name, value in values.items() if name not in taken}
+    if unknown := set(rest) - set(TRACED):
+        raise SettingError(f"{min(unknown)}: nothing that was chosen has this setting")
+    hyper = Hyperparameters(**rest, **made)
+    check(hyper)
+    return hyper
+
+
+def values_of(settings: Settings, hyper: Hyperparameters, components: Mapping[str, str]) -> Values:
+    """All values of a run by name; the inverse of `run_of`.
+
+    Args:
+        settings: static settings of the loop.
+        hyper: of the run.
+        components: names of its curriculum, agent and relabelling.
+    """
+    values = {name: getattr(settings, name) for name in STATIC}
+    values |= {name: getattr(hyper, name) for name in TRACED}
+    for kind, part in zip(DEFAULTS, _components(hyper), strict=True):
+        values[kind] = components[kind]
+        values |= {item.name: getattr(part, item.name) for item in declared(part)}
+    return values
+
+
+def run_of(name: str, values: Values) -> tuple[Settings, Run]:
+    """A run from all its values.
+
+    Raises:
+        SettingError: a value out of its range, or of no setting.
+    """
+    settings = Settings(**{key: values[key] for key in STATIC if key in values})
+    rest = {key: value for key, value in values.items() if key not in STATIC}
+    hyper = hyperparameters(**rest)
+    chosen = {kind: values.get(kind, default) for kind, default in DEFAULTS.items()}
+    return settings, Run(name, hyper, values_of(settings, hyper, chosen))
+
+
+def structure(settings: Settings, hyper: Hyperparameters) -> tuple[Settings, Any]:
+    """What runs of one program have in common."""
+    return settings, jax.tree.structure(hyper)
 
 
 def split(group: Group, largest: int) -> list[Group]:
@@ -79,65 +159,129 @@ def split(group: Group, largest: int) -> list[Group]:
     ]
 
 
-def _absolute(env: str) -> str:
-    """An environment's name; if it is a file's, one that holds in any working directory."""
-    return os.path.abspath(env) if ".py:" in env else env  # noqa: PTH100 -- keeps symbolic links
+def swept_settings(groups: Sequence[Group]) -> list[str]:
+    """Names of the settings in which runs of a sweep differ, the seed aside."""
+    runs = [run.values for group in groups for run in group.runs]
+    names = dict.fromkeys(name for values in runs for name in values if name != "seed")
+    return [
+        name for name in names if len({repr(values[name]) for values in runs if name in values}) > 1
+    ]
 
 
-def _values(grid: Grid, name: str, default: Any) -> Sequence[Any]:
-    values = grid.get(name, [default])
-    _check_axis(name, values)
+def _grouped(runs: Sequence[tuple[Settings, Run]]) -> list[Group]:
+    """Runs by program, in order of first appearance."""
+    groups: dict[Any, list[Run]] = {}
+    for settings, run in runs:
+        groups.setdefault(structure(settings, run.hyper), []).append(run)
+    return [Group(settings, tuple(same)) for (settings, _), same in groups.items()]
+
+
+def _combinations(grid: Grid) -> list[Values]:
+    """The product of all axes, less runs that differ only in what has no effect."""
+    runs: dict[Any, Values] = {}
+    for chosen in itertools.product(*(_names(grid, kind) for kind in ROOMS)):
+        components = dict(zip(ROOMS, chosen, strict=True))
+        fields = dict(LOOP_FIELDS)
+        for kind, name in components.items():
+            fields |= {item.name: item for item in declared(component(kind, name))}
+        axes = {name: _axis(grid, item) for name, item in fields.items()}
+        if math.prod(len(axis) for axis in axes.values()) > MAX_RUNS:
+            longest = max(axes, key=lambda name: len(axes[name]))
+            raise SettingError(f"{longest}: more than {MAX_RUNS:,} runs in one sweep")
+        for combination in itertools.product(*axes.values()):
+            values = {**dict(zip(axes, combination, strict=True)), **components}
+            values["env"] = absolute(values["env"])
+            idle = _idle(values)
+            effective = {k: v for k, v in values.items() if k not in idle}
+            runs.setdefault(tuple(sorted((k, repr(v)) for k, v in effective.items())), values)
+    if len(runs) > MAX_RUNS:
+        raise SettingError(f"curriculum: more than {MAX_RUNS:,} runs in one sweep")
+    return list(runs.values())
+
+
+def _axis(grid: Grid, item: "Field[Any]") -> Sequence[Any]:
+    """The values of one setting.
+
+    Raises:
+        SettingError: none, one out of its range, or one twice.
+    """
+    values = _several(item.name, grid.get(item.name, [item.default]))
+    for value in values:
+        check_value(item, value)
+    return _distinct(item.name, values)
+
+
+def _names(grid: Grid, kind: str) -> Sequence[str]:
+    """The names of components of one kind.
+
+    Raises:
+        SettingError: none, one that does not exist, or one twice.
+    """
+    names = _several(kind, grid.get(kind, [DEFAULTS[kind]]))
+    for name in names:
+        component(kind, name)
+    return _distinct(kind, names)
+
+
+def _several(name: str, values: Any) -> Sequence[Any]:
+    if not isinstance(values, list | tuple) or not values:
+        raise SettingError(f"{name}: needs at least one value")
     return values
 
 
-def _check_axis(name: str, values: Sequence[Any]) -> None:
-    if not isinstance(values, list | tuple) or not values:
-        raise SettingError(f"{name}: needs at least one value")
-    if name in STATIC and name != "env" and len(values) > 1:
-        raise SettingError(
-            f"{name}: is static (it decides the compiled program), so a sweep cannot vary it"
-        )
-    for value in values:
-        check_value(name, value)
+def _distinct(name: str, values: Sequence[Any]) -> Sequence[Any]:
     if len(set(values)) < len(values):
         raise SettingError(f"{name}: holds a value twice")
+    return values
 
 
-def _runs(grid: Grid, env: str) -> tuple[Run, ...]:
-    """The product of the traced axes, less runs that differ only in what has no effect."""
-    axes = [grid.get(name, [getattr(Hyperparameters, name)]) for name in TRACED]
-    if math.prod(len(axis) for axis in axes) > GREATEST_NUMBER_OF_RUNS:
-        longest = max(TRACED, key=lambda name: len(grid.get(name, ())))
-        raise SettingError(f"{longest}: more than {GREATEST_NUMBER_OF_RUNS:,} runs in one sweep")
-    swept = [name for name in TRACED if len(grid.get(name, ())) > 1]
-    runs: dict[Hyperparameters, Run] = {}
-    for values in itertools.product(*axes):
-        hyper = Hyperparameters(*values)
-        runs.setdefault(_effective(hyper), Run(_run_name(env, hyper, swept), hyper))
-    return tuple(runs.values())
+def _settings_and_run(values: Values, swept: Sequence[str]) -> tuple[Settings, Run]:
+    return run_of(_run_name(values, swept), values)
 
 
-def _effective(hyper: Hyperparameters) -> Hyperparameters:
-    """The same run with everything at its default that has no effect on it."""
-    return replace(hyper, **{name: getattr(Hyperparameters, name) for name in _idle(hyper)})
+def _components(hyper: Hyperparameters) -> list[Any]:
+    return list(parts(hyper))
 
 
-def _idle(hyper: Hyperparameters) -> list[str]:
-    """Settings without effect on this run."""
-    idle = [] if hyper.her else HER_ONLY
-    if not hyper.cgm:
-        return idle + CGM_ONLY
-    return idle if hyper.kappa else [*idle, "c_g", "factorised"]  # masks drawn uniformly
+def _idle(values: Values) -> frozenset[str]:
+    """Settings without effect on a run."""
+    hyper = hyperparameters(**{k: v for k, v in values.items() if k not in STATIC})
+    return frozenset().union(*(part.idle() for part in _components(hyper)))
 
 
-def _run_name(env: str, hyper: Hyperparameters, swept: Sequence[str]) -> str:
+def _swept(grid: Grid, values: Values) -> list[str]:
+    """Settings of a run that take several values in its grid."""
+    return [name for name in values if len(grid.get(name, ())) > 1]
+
+
+def _run_name(values: Values, swept: Sequence[str]) -> str:
     """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
-    parts = [env.rpartition("/")[2].replace(".py:", "-"), "her" if hyper.her else "ddpg"]
-    parts += [f"cgm-cg{hyper.c_g:.12g}-kappa{hyper.kappa:.12g}"] if hyper.cgm else ["full"]
-    for name in swept:
-        if name not in ("seed", "c_g", "kappa", "cgm", "her", *_idle(hyper)):
-            parts.append(f"{name.replace('_', '')}{getattr(hyper, name):.12g}")
-    name = "_".join([*parts, f"seed{hyper.seed}"])
-    if len(os.fsencode(name)) > LONGEST_NAME:
+    agent = _short(values["agent"])
+    parts = [_short(values["env"]), f"{agent}-her" if values.get("her") else agent]
+    parts.append(_short(values["curriculum"]))
+    told = {"seed", "her", "env", *ROOMS}
+    if values["curriculum"] == "cgm":
+        parts[-1] += f"-cg{_text(values['c_g'])}-kappa{_text(values['kappa'])}"
+        told |= {"c_g", "kappa"}
+    if "relabelling" in swept:
+        parts.append(_short(values["relabelling"]))
+    idle = _idle(values)
+    told |= idle
+    parts += [f"{n.replace('_', '')}{_text(values[n])}" for n in swept if n not in told]
+    name = "_".join([*parts, f"seed{values['seed']}"])
+    if len(os.fsencode(name)) > MAX_NAME:
         raise SettingError(f"env: a run's file would have too long a name, {name[:60]}...")
     return name
+
+
+def _short(name: str) -> str:
+    """A component's or an environment's name without its folder."""
+    return name.rpartition("/")[2].replace(".py:", "-")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, tuple):
+        return "x".join(str(width) for width in value)
+    return f"{value:.12g}" if isinstance(value, float) else str(value)

@@ -20,7 +20,7 @@ _CPU: Grid = {
 
 # With HER, hindsight only where something moved, and the creeping target actor as the steadier
 # policy. Networks are narrow and the actor learns every second time: that saves more time than it
-# costs learning (experiments/README.md has the figures).
+# seemed to cost learning in trials (experiments/results/cpu_settings/tried.csv).
 _CPU_WITH_HER: Grid = {
     **_CPU,
     "hidden_layers": [(128, 128, 128)],
@@ -65,7 +65,7 @@ PRESETS: dict[str, Grid] = {
         **_CPU,
         "env": ["reach"],
         "her": [False],
-        "cgm": [True, False],
+        "curriculum": ["cgm", "full"],
         "c_g": [0.0, 0.1, 0.2, 0.4, 0.6, 0.8],
         "kappa": [1.0, 4.0, 32.0],
         "seed": [0, 1, 2],

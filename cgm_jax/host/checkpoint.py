@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.storage.arrays import read_shapes, write_arrays
 from cgm_jax.storage.checkpoints import (

@@ -1,10 +1,11 @@
-"""Options of the command-line programs, made from settings.py.
+"""Options of the command-line programs, made from the declarations of settings.
 
 Every setting is an option that takes one or more values. Bad input ends with one line and exit
-code 2: a bad value before JAX is imported, a bad environment or directory before anything
+code 2: a bad value before a device is touched, a bad environment or directory before anything
 compiles.
 """
 
+import ast
 import contextlib
 import dataclasses
 import io
@@ -19,8 +20,10 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
+from cgm_jax.config.components import ROOMS, builtin, builtin_fields
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.presets import PRESETS, Grid
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
+from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.streams import make_streams_harmless
 from cgm_jax.storage.lock import InUseError
@@ -32,6 +35,7 @@ _OWNS_PROCESS = ContextVar("owns_process", default=False)
 
 Options = TypeVar("Options")
 Switch = Literal["on", "off"]
+SWITCH = {"on": True, "off": False}
 
 
 def _option_type(item: "dataclasses.Field[Any]") -> Any:
@@ -45,8 +49,23 @@ def _option_type(item: "dataclasses.Field[Any]") -> Any:
 
 def _setting_options() -> list[tuple[str, Any, Any]]:
     """One option per setting, absent by default: then the preset decides."""
-    items = [*dataclasses.fields(Settings), *dataclasses.fields(Hyperparameters)]
-    return [(item.name, Annotated[_option_type(item), _appearance(item)], None) for item in items]
+    choices = [
+        (kind, Annotated[tuple[str, ...] | None, _choice_appearance(kind)], None) for kind in ROOMS
+    ]
+    items = (LOOP_FIELDS | builtin_fields()).values()
+    options = [
+        (item.name, Annotated[_option_type(item), _appearance(item)], None) for item in items
+    ]
+    return [*choices, *options]
+
+
+def _choice_appearance(kind: str) -> Any:
+    names = ", ".join(sorted(builtin(kind)))
+    return tyro.conf.arg(
+        help=f"{kind}: {names}, or FILE.py:NAME of your own",
+        metavar="NAME [NAME ...]",
+        help_behavior_hint="",
+    )
 
 
 def _appearance(item: "dataclasses.Field[Any]") -> Any:
@@ -82,6 +101,9 @@ class TrainingOptions(SettingOptions):
 
     resume: Path | None = None
     """Directory of a sweep that was stopped: go on with it; takes no settings."""
+
+    set: tuple[str, ...] = ()
+    """Settings of a curriculum or agent of your own: NAME=VALUE, several values with commas."""
 
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
@@ -121,8 +143,29 @@ def chosen_values(options: Any) -> Grid:
         if item.name == "hidden_layers":
             grid[item.name] = [values]  # several widths are one value
         else:
-            grid[item.name] = [{"on": True, "off": False}.get(value, value) for value in values]
-    return grid
+            grid[item.name] = [SWITCH.get(value, value) for value in values]
+    return grid | dict(_own_setting(text) for text in options.set)
+
+
+def _own_setting(text: str) -> tuple[str, list[Any]]:
+    """NAME=VALUE,VALUE as a name and values.
+
+    Raises:
+        SettingError: it is not of that form.
+    """
+    name, equals, values = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise SettingError(f"set: {text!r} is not NAME=VALUE")
+    return name, [_plain_value(value) for value in values.split(",")]
+
+
+def _plain_value(text: str) -> Any:
+    if text in SWITCH:
+        return SWITCH[text]
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
 
 
 def seed_values(options: Any, grid: Grid) -> Grid:

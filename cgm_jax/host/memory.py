@@ -8,11 +8,16 @@ compiled programs (jax 0.10.2); tests hold the sum within 15 % of what a process
 
 import bisect
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import jax
 
-from cgm_jax.config.settings import Hyperparameters, SettingError
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.allotment import free_memory
+from cgm_jax.loop.learning import minibatches
+from cgm_jax.loop.setup import sizes
 from cgm_jax.loop.training import Trainer
 
 USABLE_SHARE = 0.8
@@ -67,22 +72,28 @@ class MemoryEstimate:
         return self.fixed + runs * self.state + max(phases)
 
 
-def estimate_memory(trainer: Trainer) -> MemoryEstimate:
-    """What training takes, from the shapes of what it holds."""
-    settings = trainer.settings
-    state = jax.eval_shape(trainer.initial_state, Hyperparameters())
+def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
+    """What training takes, from the shapes of what it holds.
+
+    Args:
+        trainer: of the runs.
+        hyper: of one of them; its structure counts.
+    """
+    setup = trainer.setup
+    settings = setup.settings
+    state = jax.eval_shape(trainer.init, hyper)
     key = jax.eval_shape(jax.random.key, 0)
-    minibatches = jax.eval_shape(trainer.minibatches, state, Hyperparameters(), key)
+    drawn = jax.eval_shape(partial(minibatches, setup), state, hyper, key)
     ring = tree_bytes(state.replay.episodes)
     episode = ring // state.replay.episodes.mask.shape[0]
-    environment = tree_bytes(jax.eval_shape(trainer.env.reset, key))
-    step = 2 * environment + 4 * sum(sorted(settings.hidden_layers)[-2:])  # before and after
+    hidden = _hidden_widths(hyper.agent, state.agent)
+    step = 2 * tree_bytes(setup.like) + 4 * sum(sorted(hidden)[-2:])  # before and after
     rollout = settings.environments * (TRAINING_COPIES * episode + step)
-    masks = 2 ** state.history.successes.shape[-1]
-    episodes = max(settings.evaluation_episodes, masks * settings.masked_evaluation_episodes)
+    examined = hyper.curriculum.examination(sizes(setup, hyper))
+    episodes = max(settings.evaluation_episodes, 0 if examined is None else len(examined))
     evaluation = episodes * (EVALUATION_COPIES * episode + step)
-    agent, batches = tree_bytes(state.agent), tree_bytes(minibatches)
-    layers = int(LAYER_COPIES * 4 * settings.batch_size * sum(settings.hidden_layers))
+    agent, batches = tree_bytes(state.agent), tree_bytes(drawn)
+    layers = int(LAYER_COPIES * 4 * settings.batch_size * sum(hidden))
     on_cpu = jax.default_backend() == "cpu"  # which updates one run after the other
     return MemoryEstimate(
         fixed=PROCESS_BYTES if on_cpu else 0,
@@ -98,8 +109,15 @@ def estimate_memory(trainer: Trainer) -> MemoryEstimate:
             "evaluation_episodes": evaluation,
             "batch_size": MINIBATCH_COPIES * batches + layers,
             "hidden_layers": 3 * agent,
+            "curriculum": tree_bytes(state.curriculum),
         },
     )
+
+
+def _hidden_widths(agent: Any, state: Any) -> list[int]:
+    """Widths of the hidden layers of an agent's actor, from shapes of its state."""
+    layers = jax.eval_shape(agent.actor, state)["params"]
+    return [layers[f"layer_{i}"]["bias"].shape[-1] for i in range(len(layers) - 1)]
 
 
 def runs_that_fit(estimate: MemoryEstimate, runs: int) -> int:

@@ -9,12 +9,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.agents.policy import policy_arrays
-from cgm_jax.config.grid import Group
+from cgm_jax.config.grid import Group, Run
 from cgm_jax.host.checkpoint import Standing, save_checkpoint
 from cgm_jax.loop.divergence import describe_failure
+from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.state import TrainingState
-from cgm_jax.loop.training import Metrics, deterministic_actor
+from cgm_jax.storage.policies import policy_arrays
 from cgm_jax.storage.run_directory import RunDirectory, metrics_line
 
 
@@ -101,10 +101,11 @@ class Recorder:
 
 def _policies(group: Group, state: TrainingState) -> Iterator[dict[str, np.ndarray]]:
     """The policy of every run, in order."""
-    actor = deterministic_actor(group.settings, state.agent)
-    actor, normaliser = jax.tree.map(np.asarray, (actor, state.normaliser))
-    for i in range(len(state.env_steps)):
-        yield policy_arrays(*jax.tree.map(lambda leaf, i=i: leaf[i], (actor, normaliser)))
+    agent, normaliser = jax.tree.map(np.asarray, (state.agent, state.normaliser))
+    for i, run in enumerate(group.runs):
+        own, statistics = jax.tree.map(lambda leaf, i=i: leaf[i], (agent, normaliser))
+        actor = run.hyper.agent.actor(own)
+        yield policy_arrays(actor, statistics, mask_input=group.settings.mask_input)
 
 
 def _rows(group: Group, standing: Standing, metrics: Metrics) -> list[dict[str, Any]]:
@@ -113,19 +114,31 @@ def _rows(group: Group, standing: Standing, metrics: Metrics) -> list[dict[str, 
     updates = group.settings.cycles_per_epoch * group.settings.updates_per_cycle
     return [
         {
-            "run": run.name,
-            "env": group.settings.env,
-            "seed": run.hyper.seed,
-            "c_g": run.hyper.c_g,
-            "kappa": run.hyper.kappa,
-            "her": run.hyper.her,
-            "cgm": run.hyper.cgm,
+            **_facts(run),
             "epoch": standing.epoch,
             "wall_s": round(standing.wall_s, 3),
+            **dict.fromkeys(MASK_METRICS),
             **{name: values[i] for name, values in arrays.items()},
             # A frozen agent counts no more updates, so that they tell when it failed.
             "failed_epoch": int(arrays["updates"][i]) // updates + 1 if failures[i] else None,
-            "failure": describe_failure(int(failures[i])) if failures[i] else None,
+            "failure": describe_failure(int(failures[i]), standing.state.agent)
+            if failures[i]
+            else None,
         }
         for i, run in enumerate(group.runs)
     ]
+
+
+MASK_METRICS = ("mask_rate_estimated", "mask_rate_training", "mask_probability", "mask_share")
+"""Per mask [2^n]; null where a curriculum has no such thing, or 2^n is too many."""
+
+
+def _facts(run: Run) -> dict[str, Any]:
+    """What a row says of its run: null for a setting that the run does not have."""
+    values = run.values
+    named = ("env", "seed", "curriculum", "agent", "c_g", "kappa", "her")
+    return {
+        "run": run.name,
+        **{name: values.get(name) for name in named},
+        "cgm": values["curriculum"] == "cgm",
+    }

@@ -11,8 +11,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.config.grid import Group, split
-from cgm_jax.config.settings import Hyperparameters, SettingError
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, split, structure
+from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import Standing, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import Interruption
@@ -22,8 +23,8 @@ from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.loop.environment import make_environment
-from cgm_jax.loop.programs import Programs, make_programs, stack_runs
-from cgm_jax.loop.training import Metrics, Trainer
+from cgm_jax.loop.evaluation import Metrics
+from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -42,35 +43,44 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
     Parts of one group share their programs, so that equal parts compile once.
 
     Args:
-        groups: those of one environment next to each other.
+        groups: the parts of one program next to each other.
         planned: whether they are the parts of an earlier plan. Those stay, whatever the memory
             is today: bits depend on how many runs train side by side.
 
     Returns:
-        Jobs in order, and one line per environment.
+        Jobs in order, and one line per program.
 
     Raises:
         SettingError: an environment cannot be made, a run does not fit into memory, or a count
             would overflow.
     """
     jobs, notes = [], []
-    for settings, same in itertools.groupby(groups, key=lambda group: group.settings):
-        trainer = Trainer(make_environment(settings), settings)
-        _check_counters(trainer)
-        programs = make_programs(trainer)
-        estimate = estimate_memory(trainer)
+    made: dict[Settings, Programs] = {}
+    for _, same in itertools.groupby(groups, key=_program):
         parts = list(same)
+        settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
+        if settings not in made:
+            made[settings] = make_programs(make_trainer(make_environment(settings), settings))
+        programs = made[settings]
+        trainer = programs.trainer
+        _check_counters(trainer)
+        estimate = estimate_memory(trainer, runs[0].hyper)
         if not planned:
             (whole,) = parts
-            fitting = runs_that_fit(estimate, len(whole.runs))
+            fitting = runs_that_fit(estimate, len(runs))
             parts = split(whole, min(fitting, settings.side_by_side))
         jobs += [Job(part, programs) for part in parts]
         largest = max(len(part.runs) for part in parts)
-        note = f"{settings.env}: {sum(len(part.runs) for part in parts)} runs"
+        note = f"{settings.env}: {len(runs)} runs"
         if len(parts) > 1:
             note += f", {largest} at a time,"
         notes.append(f"{note} take {format_bytes(estimate.total(largest))} of memory")
     return jobs, notes
+
+
+def _program(group: Group) -> object:
+    """What groups of one program have in common."""
+    return structure(group.settings, group.runs[0].hyper)
 
 
 def _check_counters(trainer: Trainer) -> None:
@@ -79,9 +89,9 @@ def _check_counters(trainer: Trainer) -> None:
     Raises:
         SettingError: it would take 2^31 env_steps or updates.
     """
-    settings = trainer.settings
+    settings, env = trainer.setup.settings, trainer.setup.env
     cycles = settings.epochs * settings.cycles_per_epoch
-    steps = settings.environments * trainer.env.episode_length
+    steps = settings.environments * env.episode_length
     totals = {"env_steps": cycles * steps, "updates": cycles * settings.updates_per_cycle}
     for name, count in totals.items():
         if count >= 2**31:
@@ -130,7 +140,7 @@ def run_jobs(
 
 def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
     """Where a job's last checkpoint stands, or its beginning."""
-    hyper = stack_runs(job.group.runs)
+    hyper = job.group.hyper()
     like = jax.eval_shape(job.programs.start, hyper)
     standing, notes = load_checkpoint(directory.path / "checkpoints", index, like)
     where = f"after epoch {standing.epoch}" if standing else "from the beginning"
@@ -170,7 +180,7 @@ def _train(
     interruption: Interruption,
 ) -> bool:
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
-    settings, programs, hyper = job.group.settings, job.programs, stack_runs(job.group.runs)
+    settings, programs, hyper = job.group.settings, job.programs, job.group.hyper()
     began, pace = time.monotonic() - standing.wall_s, Pace()
     with watchdog() as something_happened:
         while not _is_finished(job.group, standing):
@@ -215,14 +225,15 @@ def _train_chunk(
     progress: SweepProgress,
 ) -> None:
     trainer = programs.trainer
-    cycles = pace.next_chunk(trainer.settings.cycles_per_epoch - standing.cycle)
+    settings, env = trainer.setup.settings, trainer.setup.env
+    cycles = pace.next_chunk(settings.cycles_per_epoch - standing.cycle)
     began = time.monotonic()
     with device_errors():
         standing.state = jax.block_until_ready(programs.train(standing.state, hyper, cycles))
     seconds = time.monotonic() - began
     pace.record(cycles, seconds)
     standing.cycle += cycles
-    steps_per_cycle = trainer.settings.environments * trainer.env.episode_length
+    steps_per_cycle = settings.environments * env.episode_length
     progress.advance(cycles, cycles * steps_per_cycle * len(np.asarray(hyper.seed)), seconds)
 
 

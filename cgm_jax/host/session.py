@@ -6,10 +6,11 @@ import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cgm_jax.config.grid import Group
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run, structure
+from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
@@ -105,14 +106,12 @@ def _recorded_groups(out: Path, groups: Sequence[Group] | None) -> list[Group] |
 
 
 def _merged(groups: Sequence[Group]) -> list[Group]:
-    """Groups with parts of the same settings put together again."""
-    merged: list[Group] = []
+    """Groups with parts of the same program put together again."""
+    merged: dict[tuple[Settings, Any], list[Run]] = {}
     for group in groups:
-        if merged and merged[-1].settings == group.settings:
-            merged[-1] = Group(group.settings, merged[-1].runs + group.runs)
-        else:
-            merged.append(group)
-    return merged
+        program = structure(group.settings, group.runs[0].hyper)
+        merged.setdefault(program, []).extend(group.runs)
+    return [Group(settings, tuple(runs)) for (settings, _), runs in merged.items()]
 
 
 def _notes_on_resuming(directory: RunDirectory) -> list[str]:

@@ -1,7 +1,9 @@
-"""What a program does before it imports anything of JAX."""
+"""JAX's own settings, made before it touches a device."""
 
 import os
 from pathlib import Path
+
+import jax
 
 from cgm_jax.host.allotment import available_cores
 
@@ -23,8 +25,9 @@ def prepare_jax() -> None:
     # Threads of XLA on a CPU, which by itself looks at the affinity alone.
     os.environ.setdefault("PJRT_NPROC", str(available_cores()))
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (cache := _cache_directory()) is not None:
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(cache)
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
 def _cache_directory() -> Path | None:

@@ -1,16 +1,13 @@
 """The environment that a setting names: a Fetch task, or one from the user's own file."""
 
-import hashlib
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import jax
 
 from cgm_jax import envs
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.named import is_own, load_named
+from cgm_jax.config.settings import Settings
 from cgm_jax.envs import GoalEnvironment
 
 PROTOCOL = ("reset", "step", "action_size", "episode_length", "distance_threshold")
@@ -27,7 +24,7 @@ def make_environment(settings: Settings) -> GoalEnvironment:
             environment has no use for; or the factory fails or its result lacks something that
             training needs.
     """
-    if ".py" in settings.env:
+    if is_own(settings.env):
         if settings.engine != "auto" or settings.air_probability is not None:
             raise SettingError("env: --engine and --air-probability are for the Fetch tasks")
         return _from_file(settings.env)
@@ -41,14 +38,8 @@ def make_environment(settings: Settings) -> GoalEnvironment:
 
 
 def _from_file(name: str) -> GoalEnvironment:
-    file, _, factory_name = name.rpartition(":")
-    path = Path(file)
-    if not factory_name or not path.is_file():
-        raise SettingError(f"env: {name!r} is not FILE.py:FACTORY with a file that exists")
+    factory = load_named("env", name)
     try:
-        factory = getattr(_load_module(path), factory_name, None)
-        if not callable(factory):
-            raise SettingError(f"env: {file} has no function or class {factory_name!r}")
         env: Any = factory()
         _check_protocol(env, name)
     except SettingError:
@@ -77,15 +68,3 @@ def _check_protocol(env: Any, name: str) -> None:
     second = jax.eval_shape(env.step, first, action)
     if jax.tree.structure(first) != jax.tree.structure(second):
         raise SettingError(f"env: reset and step of {name} return states of different structure")
-
-
-def _load_module(path: Path) -> ModuleType:
-    # Under a name of its own: a user's file may be called like any module of Python's.
-    name = f"_environment_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise SettingError(f"env: {path} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # so that dataclasses in the file find their module
-    spec.loader.exec_module(module)
-    return module

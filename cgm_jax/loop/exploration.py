@@ -20,11 +20,13 @@ class Exploration(struct.PyTreeNode):
         perturbation: what is added to an action, [..., action_size].
         random_action: what replaces an action, uniform in [-1, 1], [..., action_size].
         replaced: whether it does, [..., 1] bool.
+        key: to explore with, for an agent that does so by itself; a key per step [T], or None.
     """
 
     perturbation: jax.Array
     random_action: jax.Array
     replaced: jax.Array
+    key: jax.Array | None = None
 
 
 def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters) -> Exploration:
@@ -54,7 +56,14 @@ def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparamet
     )
 
 
-def explore(exploration: Exploration, action: jax.Array) -> jax.Array:
-    """The action [..., action_size] with its noise, within [-1, 1]."""
-    perturbed = jnp.clip(action + exploration.perturbation, -1.0, 1.0)
-    return jnp.where(exploration.replaced, exploration.random_action, perturbed)
+def explore(exploration: Exploration, action: jax.Array, *, perturb: bool = True) -> jax.Array:
+    """The action [..., action_size] with its noise, within [-1, 1].
+
+    Args:
+        exploration: the noise.
+        action: of the agent.
+        perturb: whether to add Gaussian noise; an agent that explores by itself needs none.
+    """
+    if perturb:
+        action = jnp.clip(action + exploration.perturbation, -1.0, 1.0)
+    return jnp.where(exploration.replaced, exploration.random_action, action)

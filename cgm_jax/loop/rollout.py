@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from brax.envs.base import State
 from flax import struct
 
-from cgm_jax.curricula.masking import apply_mask, masked_distance
+from cgm_jax.curricula.goals import apply_mask, is_achieved
+from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.replay.ring import Episodes
@@ -22,77 +23,108 @@ class Rollout(struct.PyTreeNode):
 
     Attributes:
         episodes: E episodes.
-        masked_success: whether the masked goal is achieved at the last step, [E] bool.
-        subgoal_success: whether each dimension of the whole goal is, [E, n] bool.
-        success: whether the whole goal is, [E] bool.
-        valid: whether the physics held; episodes that are not valid must be dropped, [E] bool.
+        outcomes: which of them count, and what they achieved.
+        success: whether the whole goal is achieved at the last step, [E] bool.
         record: what `roll_out` was asked to keep of every state, leading axis [T + 1].
     """
 
     episodes: Episodes
-    masked_success: jax.Array
-    subgoal_success: jax.Array
+    outcomes: Outcomes
     success: jax.Array
-    valid: jax.Array
     record: Any = None
+
+
+def reset(env: GoalEnvironment, key: jax.Array, count: int) -> State:
+    """States of `count` environments, each from a reset of its own."""
+    return jax.vmap(env.reset)(jax.random.split(key, count))
+
+
+def drawn_goals(env: GoalEnvironment, first: State) -> Goals:
+    """The goals that the environments drew, whole, at the environment's own threshold."""
+    desired = first.obs["desired_goal"]
+    return Goals(
+        desired=desired,
+        mask=jnp.ones_like(desired),
+        threshold=jnp.full(desired.shape[0], env.distance_threshold),
+    )
 
 
 def roll_out(
     env: GoalEnvironment,
     policy: Policy,
-    key: jax.Array,
-    masks: jax.Array,
+    first: State,
+    goals: Goals,
     exploration: Exploration | None = None,
+    *,
     keep: Callable[[State], Any] = lambda _: None,
+    visit_key: jax.Array | None = None,
 ) -> Rollout:
-    """Run one whole episode in each of E environments, from a fresh reset.
+    """Run one whole episode in each of E environments.
 
     Args:
         env: the environment.
         policy: called once per step for all environments.
-        key: for the resets, one for all or one for each, [E]; consumed.
-        masks: one goal mask per environment, [E, n].
+        first: states in which the episodes begin, leading axis [E].
+        goals: what they are to achieve; `goals.start` is not read.
         exploration: noise for every step, leading axes [T, E]; None for a policy without.
         keep: from the state of all environments to what becomes of it in `Rollout.record`.
+        visit_key: draws the step of each episode whose state is kept in `Outcomes.visited`; None
+            to keep none.
     """
-    keys = key if key.ndim else jax.random.split(key, masks.shape[0])
-    first = jax.vmap(env.reset)(keys)
-    goal = first.obs["desired_goal"]
+    count = goals.mask.shape[0]
+    visits = None
+    if visit_key is not None:
+        visits = jax.random.randint(visit_key, (count,), 0, env.episode_length)
 
-    def step(state: State, noise: Exploration | None) -> tuple[State, tuple[Any, ...]]:
+    def step(carry: tuple[State, Any], now: tuple[Any, jax.Array]) -> tuple[Any, tuple[Any, ...]]:
+        (state, visited), (noise, index) = carry, now
         observation, achieved = state.obs["observation"], state.obs["achieved_goal"]
-        action = policy(observation, apply_mask(goal, masks, achieved), noise)
+        action = policy(observation, apply_mask(goals.desired, goals.mask, achieved), noise)
         next_state = jax.vmap(env.step)(state, action)
-        warnings = next_state.metrics.get("physics_warnings", jnp.zeros(masks.shape[0]))
-        return next_state, (observation, achieved, action, warnings, keep(state))
+        warnings = next_state.metrics.get("physics_warnings", jnp.zeros(count))
+        if visits is not None:
+            visited = choose(visits == index, next_state, visited)
+        return (next_state, visited), (observation, achieved, action, warnings, keep(state))
 
-    last, (observation, achieved, action, warnings, kept) = jax.lax.scan(
-        step, first, exploration, length=env.episode_length
-    )
+    steps = (exploration, jnp.arange(env.episode_length))
+    begin = (first, None if visits is None else first)
+    (last, visited), rows = jax.lax.scan(step, begin, steps)
+    observation, achieved, action, warnings, kept = rows
     observation = jnp.concatenate([observation, last.obs["observation"][None]])
     achieved = jnp.concatenate([achieved, last.obs["achieved_goal"][None]])
     episodes = Episodes(
         observation=observation.swapaxes(0, 1),
         achieved_goal=achieved.swapaxes(0, 1),
         action=action.swapaxes(0, 1),
-        desired_goal=goal,
-        mask=masks,
+        desired_goal=goals.desired,
+        mask=goals.mask,
+        threshold=goals.threshold,
     )
-    rollout = _judge(episodes, warnings.sum(axis=0), env.distance_threshold)
+    rollout = _judge(episodes, goals, warnings.sum(axis=0), env.distance_threshold)
     record = jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), kept, keep(last))
-    return rollout.replace(record=record)
+    return rollout.replace(record=record, outcomes=rollout.outcomes.replace(visited=visited))
 
 
-def _judge(episodes: Episodes, warnings: jax.Array, threshold: float) -> Rollout:
+def choose(condition: jax.Array, yes: State, no: State) -> State:
+    """Of two batches of states with leading axis [E], row by row by a condition [E]."""
+    pick = jax.vmap(lambda chosen, x, y: jnp.where(chosen, x, y))
+    return jax.tree.map(lambda x, y: pick(condition, x, y), yes, no)
+
+
+def _judge(
+    episodes: Episodes, goals: Goals, warnings: jax.Array, distance_threshold: float
+) -> Rollout:
     goal, final = episodes.desired_goal, episodes.achieved_goal[:, -1]
     finite = [
         jnp.isfinite(rows).all(axis=(1, 2))
         for rows in (episodes.observation, episodes.achieved_goal, episodes.action)
     ]
-    return Rollout(
-        episodes=episodes,
-        masked_success=masked_distance(goal, episodes.mask, final) < threshold,
-        subgoal_success=jnp.abs(final - goal) < threshold,
-        success=jnp.linalg.norm(final - goal, axis=-1) < threshold,
+    outcomes = Outcomes(
+        goals=goals,
+        success=is_achieved(goal, goals.mask, final, goals.threshold),
+        subgoal_success=jnp.abs(final - goal) < distance_threshold,
         valid=(warnings == 0) & jnp.stack(finite).all(axis=0),
+        observation=episodes.observation[:, 0],
     )
+    whole = jnp.linalg.norm(final - goal, axis=-1) < distance_threshold
+    return Rollout(episodes=episodes, outcomes=outcomes, success=whole)

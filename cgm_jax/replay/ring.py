@@ -18,6 +18,7 @@ class Episodes(struct.PyTreeNode):
         action: [episodes, T, action_size].
         desired_goal: the goal before masking, [episodes, n].
         mask: [episodes, n] of 0 and 1.
+        threshold: the goal is achieved closer than this, [episodes].
     """
 
     observation: jax.Array
@@ -25,6 +26,7 @@ class Episodes(struct.PyTreeNode):
     action: jax.Array
     desired_goal: jax.Array
     mask: jax.Array
+    threshold: jax.Array
 
 
 class Replay(struct.PyTreeNode):
@@ -55,6 +57,7 @@ def empty_replay(
         action=jnp.zeros((capacity, episode_length, action_size)),
         desired_goal=jnp.zeros((capacity, goal_size)),
         mask=jnp.zeros((capacity, goal_size)),
+        threshold=jnp.zeros(capacity),
     )
     return Replay(episodes, jnp.zeros((), jnp.int32))
 

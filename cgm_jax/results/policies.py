@@ -9,18 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cgm_jax.agents.policy import act, load_policy
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings
-from cgm_jax.curricula.masking import masked_distance
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.curricula.goals import is_achieved
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
-from cgm_jax.loop.rollout import Policy, Rollout, roll_out
+from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
 from cgm_jax.replay.ring import Episodes
 from cgm_jax.results.plan import AXES, Plan
+from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ def _evaluate_group(
 
     def play(arrays: dict[str, jax.Array], chunk: Chunk, filmed: int) -> Result:
         def policy(observation: jax.Array, goal: jax.Array, _: Exploration | None) -> jax.Array:
-            return act(arrays, observation, goal)
+            return act(arrays, observation, goal, goal_mask(plan.mask, _goal_size(env)))
 
         return _play(env, policy, plan, chunk, filmed)
 
@@ -285,15 +286,17 @@ def _play(
 ) -> Result:
     """Successes, valid episodes, and the film of one policy's chunk of episodes."""
     mask = jnp.asarray(goal_mask(plan.mask, _goal_size(env)))
-    masks = jnp.broadcast_to(mask, (len(chunk.keys), mask.size))
+    first = jax.vmap(env.reset)(chunk.keys)
+    goals = drawn_goals(env, first)
+    goals = goals.replace(mask=jnp.broadcast_to(mask, goals.mask.shape))
 
     def keep(state: "State") -> PhysicsState | None:
         return _first(filmed, state.pipeline_state) if filmed else None
 
-    rollout = roll_out(env, policy, chunk.keys, masks, exploration, keep)
-    valid = rollout.valid & chunk.counted
-    film = _film(rollout, filmed, env.distance_threshold) if filmed else None
-    return jnp.sum(valid & rollout.masked_success), jnp.sum(valid), film
+    rollout = roll_out(env, policy, first, goals, exploration, keep=keep)
+    valid = rollout.outcomes.valid & chunk.counted
+    film = _film(rollout, filmed) if filmed else None
+    return jnp.sum(valid & rollout.outcomes.success), jnp.sum(valid), film
 
 
 def _join(parts: list[Film]) -> Film | None:
@@ -308,14 +311,14 @@ def _join(parts: list[Film]) -> Film | None:
     )
 
 
-def _film(rollout: Rollout, count: int, threshold: float) -> Film:
+def _film(rollout: Rollout, count: int) -> Film:
     shown: Episodes = _first(count, rollout.episodes)
-    goal, mask = shown.desired_goal[:, None], shown.mask[:, None]
+    goal, mask, threshold = (x[:, None] for x in (shown.desired_goal, shown.mask, shown.threshold))
     return Film(
         states=rollout.record,
         desired_goal=shown.desired_goal,
-        achieved=masked_distance(goal, mask, shown.achieved_goal) < threshold,
-        valid=rollout.valid[:count],
+        achieved=is_achieved(goal, mask, shown.achieved_goal, threshold),
+        valid=rollout.outcomes.valid[:count],
     )
 
 

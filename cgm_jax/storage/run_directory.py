@@ -18,19 +18,20 @@ import platform
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cgm_jax.config.grid import Group, Run
-from cgm_jax.config.settings import Hyperparameters, SettingError, Settings, check
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run, run_of, structure
 from cgm_jax.host.allotment import available_cores
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import restore_config
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.lock import locked
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
@@ -89,14 +90,12 @@ class RunDirectory:
     def write_config(self, groups: list[Group], preset: str, device: str) -> None:
         """Record how to run the sweep again; `device` names what JAX computes on."""
         config = {
+            "format": FORMAT,
             "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
             "preset": preset,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "groups": [
-                {
-                    "settings": asdict(group.settings),
-                    "runs": [{"name": run.name, **asdict(run.hyper)} for run in group.runs],
-                }
+                {"runs": [{"name": run.name, **run.values} for run in group.runs]}
                 for group in groups
             ],
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
@@ -134,7 +133,7 @@ class RunDirectory:
             SettingError: the config is damaged.
         """
         try:
-            return [_group(entry) for entry in self._config()["groups"]]
+            return [_group(entry) for entry in upgraded(self._config())["groups"]]
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise self._damaged(error) from None
 
@@ -242,14 +241,16 @@ def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 def _group(entry: Any) -> Group:
     """A group of runs from its entry in the config; whatever is wrong with it raises."""
-    settings = dict(entry["settings"])
-    settings["hidden_layers"] = tuple(settings["hidden_layers"])
-    runs = []
+    pairs = []
     for values in entry["runs"]:
-        hyper = {name: value for name, value in values.items() if name != "name"}
-        runs.append(Run(str(values["name"]), Hyperparameters(**hyper)))
-        check(runs[-1].hyper)
-    return Group(Settings(**settings), tuple(runs))
+        values = dict(values)
+        name = str(values.pop("name"))
+        if "hidden_layers" in values:
+            values["hidden_layers"] = tuple(values["hidden_layers"])
+        pairs.append(run_of(name, values))
+    settings = {structure(static, run.hyper): static for static, run in pairs}
+    ((_, static),) = settings.items()  # runs of one group share a program
+    return Group(static, tuple(run for _, run in pairs))
 
 
 def _commit() -> str | None:

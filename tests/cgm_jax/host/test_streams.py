@@ -51,7 +51,7 @@ def run(
 
 @pytest.mark.parametrize("before", ["", WITHOUT_POLL])
 def test_a_reader_that_goes_away_costs_nothing(before: str, tmp_path: Path) -> None:
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     assert run(tmp_path / "done", before=before, **streams)[:2] == (3, "done")
 
 

@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from cgm_jax import envs
-from cgm_jax.config.settings import SettingError, Settings
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Settings
 from cgm_jax.loop.environment import make_environment
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "point_mass.py").read_text()

@@ -1,0 +1,95 @@
+"""What an agent offers to the loop.
+
+An agent is a class of settings (see `config/fields.py`) with pure functions over a state of its
+own, any flax struct of arrays. All are written for one run; the loop vmaps them over runs, the
+settings included. A new agent is one new file with one class derived from `Agent`.
+
+Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - gamma), 0].
+"""
+
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import jax
+from flax import struct
+
+from cgm_jax.config.sizes import Sizes
+
+State = TypeVar("State")
+Parameters = Any
+Info = dict[str, jax.Array]
+
+
+class Minibatch(struct.PyTreeNode):
+    """Transitions with goals and observations as the networks take them.
+
+    Attributes:
+        inputs, next_inputs: [..., inputs].
+        action: [..., action].
+        reward: 0 where the next state achieves the goal, else -1; [...].
+    """
+
+    inputs: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    next_inputs: jax.Array
+
+
+class Agent(Protocol[State]):
+    """Pure functions of one run over a state; derive from it.
+
+    Attributes:
+        explores: whether `act` with a key explores by itself; else the loop adds Gaussian noise.
+            Uniform random actions are the loop's for all agents.
+        logged: names of the scalars that `train` returns.
+    """
+
+    explores: ClassVar[bool] = False
+    logged: ClassVar[tuple[str, ...]] = ("critic_loss", "actor_loss", "value")
+
+    critics: int
+    """How many estimates of the return `value` gives: a setting, or a number of the class."""
+
+    def init(self, key: jax.Array, sizes: Sizes) -> State:
+        """Fresh networks.
+
+        Raises:
+            SettingError: settings that do not go with the loop's, such as a number of updates.
+        """
+        ...
+
+    def act(self, state: State, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+        """Actions [..., action] in [-1, 1] for training, from normalised inputs [..., inputs].
+
+        Args:
+            state: of the agent.
+            inputs: what the networks see.
+            key: to explore with, for an agent that `explores`.
+        """
+        ...
+
+    def value(self, state: State, inputs: jax.Array, action: jax.Array) -> jax.Array:
+        """What each critic expects of an action, [critics, ...]."""
+        ...
+
+    def train(self, state: State, batches: Minibatch, key: jax.Array) -> tuple[State, Info]:
+        """Learn from the minibatches of a cycle, [updates, batch, ...].
+
+        Returns:
+            The state, and scalars to log: arrays [k] of which the loop takes the mean.
+        """
+        ...
+
+    def actor(self, state: State) -> Parameters:
+        """The deterministic policy that is evaluated and exported.
+
+        A perceptron as `networks.Actor` has it: ReLU between layers, tanh at the end, parameters
+        {"params": {"layer_0": {"kernel": [in, out], "bias": [out]}, ...}}.
+        """
+        ...
+
+    def idle(self) -> frozenset[str]:
+        """Names of settings that have no effect, given the others; for concrete values only."""
+        return frozenset()
+
+
+PROTOCOL = Agent

@@ -1,0 +1,79 @@
+"""What can be chosen by name: curricula, agents and ways to relabel, ours or the user's own.
+
+A component is one file that declares one class of settings (see fields.py) with the functions
+of its protocol; the file's name is the option's value. FILE.py:NAME is a class of the user's own.
+"""
+
+import dataclasses
+import functools
+import importlib
+import inspect
+import pkgutil
+from typing import Any
+
+from cgm_jax.config.fields import Field, SettingError, declared
+from cgm_jax.config.named import is_own, load_named
+
+ROOMS = {
+    "curriculum": "cgm_jax.curricula",
+    "agent": "cgm_jax.agents",
+    "relabelling": "cgm_jax.replay",
+}
+"""Where the components of each kind are; `protocol.py` there says what they offer."""
+
+
+@functools.cache
+def builtin(kind: str) -> dict[str, type]:
+    """The classes that come with this package, by name."""
+    room = importlib.import_module(ROOMS[kind])
+    protocol = importlib.import_module(f"{ROOMS[kind]}.protocol").PROTOCOL
+    found = {}
+    for module in pkgutil.iter_modules(room.__path__):
+        members = vars(importlib.import_module(f"{room.__name__}.{module.name}"))
+        for member in members.values():
+            ours = inspect.isclass(member) and member.__module__ == f"{room.__name__}.{module.name}"
+            if ours and protocol in member.__mro__ and dataclasses.is_dataclass(member):
+                found[module.name] = member
+    return found
+
+
+def component(kind: str, name: str) -> type:
+    """The class that `--KIND name` stands for.
+
+    Raises:
+        SettingError: there is none, or a file's class does not declare settings.
+    """
+    if not isinstance(name, str):
+        raise SettingError(f"{kind}: {name!r} is not a name")
+    if not is_own(name):
+        if name not in builtin(kind):
+            choices = ", ".join(sorted(builtin(kind)))
+            raise SettingError(f"{kind}: unknown {kind} {name!r}; choose from {choices}")
+        return builtin(kind)[name]
+    found = load_named(kind, name)
+    if not inspect.isclass(found) or not dataclasses.is_dataclass(found):
+        raise SettingError(f"{kind}: {name} is not a class made by @settings")
+    protocol = importlib.import_module(f"{ROOMS[kind]}.protocol").PROTOCOL
+    if protocol not in found.__mro__:
+        raise SettingError(f"{kind}: {name} is not derived from {protocol.__name__}")
+    return found
+
+
+def name_of(instance: Any) -> str:
+    """The name by which an instance's class was chosen, if it comes with this package."""
+    module = type(instance).__module__
+    return module.rpartition(".")[2]
+
+
+@functools.cache
+def builtin_fields() -> dict[str, "Field[Any]"]:
+    """Every setting of the components that come with this package, by name.
+
+    Components share an option where they share a setting's name.
+    """
+    return {
+        item.name: item
+        for kind in ROOMS
+        for found in builtin(kind).values()
+        for item in declared(found)
+    }

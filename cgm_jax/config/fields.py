@@ -1,0 +1,157 @@
+"""How a setting is declared: at its field, with its default, help and range.
+
+    @settings
+    class CGM:
+        c_g: float = traced(0.1, "success rate aimed at", 0, 1)
+        history: int = static(10, "evaluation episodes behind success rates", 1, 10**6)
+
+*Traced* settings enter the compiled program as numbers: one value per run, any number of runs in
+one program. *Static* ones decide its structure: one program per value. An instance is a pytree
+whose leaves are its traced settings, so that runs share a program exactly where the structures of
+their settings agree.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from numbers import Integral, Real
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Class = TypeVar("Class", bound=type)
+Tree = TypeVar("Tree")
+Field = dataclasses.Field
+
+ACCEPTED = {str: str, bool: bool, int: Integral, float: Real, tuple: tuple}
+"""What counts as a value of a setting, by the type of its default; numpy's numbers do."""
+
+DTYPES = {int: np.int32, float: np.float32, bool: np.bool_}
+
+
+class SettingError(ValueError):
+    """A setting out of its range; the message starts with its name."""
+
+
+def traced(default: Any, help: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    """A setting that enters the compiled program as a number."""
+    return field(default=default, metadata=_metadata(True, help, low, high))
+
+
+def static(default: Any, help: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    """A setting that decides the compiled program; None as default says that it may be absent."""
+    return field(default=default, metadata=_metadata(False, help, low, high))
+
+
+def _metadata(traced: bool, help: str, low: float, high: float) -> dict[str, Any]:
+    return {"traced": traced, "help": help, "low": low, "high": high}
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def settings(kind: Class) -> Class:
+    """Make a class of settings: a frozen dataclass, and a pytree of its traced settings.
+
+    Construction checks nothing, since JAX makes instances of tracers: call `check`.
+    """
+    kind = dataclass(frozen=True)(kind)
+    static_names = [item.name for item in declared(kind) if not item.metadata["traced"]]
+    names = [item.name for item in dataclasses.fields(kind) if item.name not in static_names]
+    return jax.tree_util.register_dataclass(kind, data_fields=names, meta_fields=static_names)
+
+
+def declared(kind: Any) -> list["Field[Any]"]:
+    """The settings that a class (or an instance) declares itself, in order."""
+    return [item for item in dataclasses.fields(kind) if "help" in item.metadata]
+
+
+def check(instance: Any) -> None:
+    """Check all values of an instance, and of the instances of settings in it.
+
+    Raises:
+        SettingError: a value of another type, not finite, or out of its range.
+    """
+    for item in declared(instance):
+        check_value(item, getattr(instance, item.name))
+    for part in parts(instance):
+        check(part)
+
+
+def check_concrete(instance: Any) -> None:
+    """Check as `check` does all values but arrays, which may be traced.
+
+    Raises:
+        SettingError: as `check`.
+    """
+    for item in declared(instance):
+        value = getattr(instance, item.name)
+        if not isinstance(value, jax.Array | np.ndarray):
+            check_value(item, value)
+    for part in parts(instance):
+        check_concrete(part)
+
+
+def parts(instance: Any) -> Iterator[Any]:
+    """Instances of settings that are fields of another."""
+    for item in dataclasses.fields(instance):
+        value = getattr(instance, item.name)
+        if "help" not in item.metadata and dataclasses.is_dataclass(value):
+            yield value
+
+
+def check_value(item: "Field[Any]", value: Any) -> None:
+    """Check one value of a setting.
+
+    Raises:
+        SettingError: it is of another type, not finite, or out of its range.
+    """
+    if value is None and item.default is None:
+        return
+    kind = float if item.default is None else type(item.default)
+    if not isinstance(value, ACCEPTED[kind]) or isinstance(value, bool) != (kind is bool):
+        raise SettingError(f"{item.name}: {value!r} is not of type {kind.__name__}")
+    if kind is tuple:
+        if not value:
+            raise SettingError(f"{item.name}: needs at least one value")
+        if not all(isinstance(width, Integral) and not isinstance(width, bool) for width in value):
+            raise SettingError(f"{item.name}: {value!r} holds something else than whole numbers")
+    if kind not in (str, bool):
+        for number in value if isinstance(value, tuple) else (value,):
+            _check_range(item, number)
+
+
+def _check_range(item: "Field[Any]", number: Any) -> None:
+    low, high = item.metadata["low"], item.metadata["high"]
+    if not -math.inf < number < math.inf:  # also of integers beyond any float
+        raise SettingError(f"{item.name}: {number} is not a finite number")
+    if not low <= number <= high:
+        upper = "" if high == math.inf else f", {high:.10g}]"
+        bounds = f"within [{low:.10g}{upper}" if upper else f"at least {low:.10g}"
+        raise SettingError(f"{item.name}: {number} is not {bounds}")
+
+
+def stack(runs: Sequence[Tree]) -> Tree:
+    """Settings of several runs of one structure as one pytree, every leaf [runs].
+
+    Types are fixed per field (int32, float32, bool), whatever the values, so that two grids of
+    the same length compile to the same program.
+
+    Raises:
+        SettingError: a value of another type, not finite, or out of its range.
+    """
+    for run in runs:
+        check(run)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *map(_typed, runs))
+
+
+def _typed(instance: Any) -> Any:
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(instance):
+        value = getattr(instance, item.name)
+        if item.metadata.get("traced"):
+            values[item.name] = np.asarray(value, DTYPES[type(item.default)])
+        elif "help" not in item.metadata and dataclasses.is_dataclass(value):
+            values[item.name] = _typed(value)
+    return dataclasses.replace(instance, **values)

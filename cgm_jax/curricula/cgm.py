@@ -1,0 +1,127 @@
+"""Curriculum goal masking (CGM; Eppe, Magg and Wermter 2019): masks near a chosen success rate.
+
+    p(m) proportional to (1 - |c_m - c_g|)^kappa,   c_m = product of the rates of kept sub-goals
+
+The paper prints |c_m - c_g|^kappa, which would prefer masks far from c_g; its text and the authors'
+program say near. Sub-goal rates are means over the last h noise-free evaluation episodes with the
+full goal; before any, c_g^(1/n). Two estimates that are not the paper's judge its product: joint
+rates (`factorised` off) and noise-free episodes of each mask (`masked_evaluation_episodes`).
+
+    python -m cgm_jax.train --curriculum cgm --c-g 0.1 --kappa 32
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax.typing import ArrayLike
+
+from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.history import (
+    SuccessHistory,
+    empty_history,
+    record_successes,
+    subgoal_rates,
+    success_rates,
+)
+from cgm_jax.curricula.masks import (
+    goal_masks,
+    mask_probabilities,
+    mask_success_rates,
+    sample_masks,
+)
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
+
+
+class CGMState(struct.PyTreeNode):
+    """What CGM knows.
+
+    Attributes:
+        subgoals: outcomes of evaluation episodes with the full goal, per sub-goal.
+        masks: of those with masked goals, per mask; empty unless they are measured.
+    """
+
+    subgoals: SuccessHistory
+    masks: SuccessHistory
+
+
+@settings
+class CGM(Curriculum[CGMState]):
+    """The paper's curriculum. Its settings, with the names of the options."""
+
+    c_g: float = traced(0.1, "success rate aimed at by the mask sampler", 0, 1)
+    kappa: float = traced(32.0, "sharpness of the mask sampler", 1e-3, 1e6)
+    full_share: float = traced(0.0, "share of episodes that get the full goal in any case", 0, 1)
+    factorised: bool = traced(True, "estimate masks as if sub-goals succeeded independently")
+    success_history: int = static(10, "evaluation episodes behind success rates, h", 1, 10**6)
+    masked_evaluation_episodes: int = static(
+        0, "noise-free episodes per mask and epoch, to measure it; 0: estimate it", 0, 10**6
+    )
+
+    def init(self, sizes: Sizes) -> CGMState:
+        """Nothing known yet."""
+        return CGMState(
+            subgoals=empty_history(self.success_history, sizes.goal),
+            masks=empty_history(self.success_history, 2**sizes.goal),
+        )
+
+    def sample(self, state: CGMState, key: jax.Array, drawn: Goals, view: View) -> Goals:
+        """The environment's goals, under masks near the success rate aimed at."""
+        del view
+        masks = goal_masks(drawn.desired.shape[-1])
+        probabilities = self.probabilities(self.rates(state))
+        return with_mask(drawn, masks[sample_masks(key, probabilities, len(drawn.mask))])
+
+    def after_evaluation(
+        self, state: CGMState, outcomes: Outcomes, examined: Outcomes | None = None
+    ) -> CGMState:
+        """Take in noise-free episodes: sub-goals of the full goal, and masks that were measured."""
+        subgoals = record_successes(state.subgoals, outcomes.subgoal_success, outcomes.valid)
+        if examined is None:
+            return state.replace(subgoals=subgoals)
+        shape = (self.masked_evaluation_episodes, -1)
+        successes, valid = (x.reshape(shape) for x in (examined.success, examined.valid))
+        return CGMState(subgoals, record_successes(state.masks, successes, valid.all(axis=1)))
+
+    def examination(self, sizes: Sizes) -> jax.Array | None:
+        """Equally many episodes per mask, where masks are to be measured."""
+        if not self.masked_evaluation_episodes:
+            return None
+        return jnp.tile(goal_masks(sizes.goal), (self.masked_evaluation_episodes, 1))
+
+    def report(self, state: CGMState) -> dict[str, jax.Array]:
+        """Per mask [2^n]: its estimated success rate, and its probability of being drawn."""
+        rates = self.rates(state)
+        return {"mask_rate_estimated": rates, "mask_probability": self.probabilities(rates)}
+
+    def rates(self, state: CGMState) -> jax.Array:
+        """Estimated success rate of every mask [2^n]; once masks are measured, the measured one."""
+        masks = goal_masks(state.subgoals.successes.shape[-1])
+        estimates = jnp.where(
+            self.factorised,
+            mask_success_rates(masks, subgoal_rates(state.subgoals, self.c_g)),
+            joint_success_rates(masks, state.subgoals, self.c_g),
+        )
+        return success_rates(state.masks, estimates)
+
+    def probabilities(self, rates: jax.Array) -> jax.Array:
+        """Probability of drawing each mask [2^n], given their success rates."""
+        full = jnp.zeros(len(rates)).at[-1].set(1.0)
+        probabilities = mask_probabilities(rates, self.c_g, self.kappa)
+        return (1.0 - self.full_share) * probabilities + self.full_share * full
+
+
+def joint_success_rates(masks: jax.Array, history: SuccessHistory, c_g: ArrayLike) -> jax.Array:
+    """Success rate [m] of every mask, without assuming that sub-goals are independent.
+
+    Not in the paper, whose product this judges: the share of the history's rollouts that achieved
+    all kept dimensions at once. Before any evaluation it is the paper's product.
+
+    Args:
+        masks: [m, n] of 0 and 1.
+        history: outcomes of evaluation rollouts, of length h.
+        c_g: the rate aimed at, scalar in [0, 1].
+    """
+    achieved = jnp.all((masks == 0) | (history.successes[:, None] > 0), axis=-1)  # [h, m]
+    product = mask_success_rates(masks, subgoal_rates(history, c_g))
+    return success_rates(SuccessHistory(achieved, history.count), product)

@@ -1,0 +1,112 @@
+"""A cycle: choose goals, roll out, store, learn."""
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.curricula.masks import mask_indices
+from cgm_jax.curricula.protocol import Curriculum, Goals, View
+from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
+from cgm_jax.loop.inputs import network_inputs
+from cgm_jax.loop.learning import learn
+from cgm_jax.loop.normaliser import observe
+from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
+from cgm_jax.loop.setup import Setup
+from cgm_jax.loop.state import EpochStatistics, TrainingState
+from cgm_jax.replay.future import moved_goal
+from cgm_jax.replay.ring import insert, size
+
+
+def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
+    """Choose goals, roll out, store, and update the networks."""
+    env, settings = setup.env, setup.settings
+    keys = jax.random.split(state.key, 8)
+    key, goal_key, reset_key, noise_key, draw_key, agent_key, visit_key, act_key = keys
+    first = reset(env, reset_key, settings.environments)
+    curriculum: Curriculum = hyper.curriculum
+    goals = curriculum.sample(
+        state.curriculum, goal_key, drawn_goals(env, first), _view(setup, state, hyper, first)
+    )
+    if goals.start is not None:
+        first = jax.vmap(env.restart)(goals.start)  # pyright: ignore[reportAttributeAccessIssue]
+    shape = (env.episode_length, settings.environments, env.action_size)
+    exploration = draw_exploration(noise_key, shape, hyper)
+    if hyper.agent.explores:
+        exploration = exploration.replace(key=jax.random.split(act_key, env.episode_length))
+    rollout = roll_out(
+        env,
+        training_policy(setup, state, hyper, goals),
+        first,
+        goals,
+        exploration,
+        visit_key=visit_key if curriculum.wants_visited else None,
+    )
+    state = state.replace(
+        key=key,
+        replay=insert(state.replay, rollout.episodes, rollout.outcomes.valid),
+        curriculum=curriculum.after_training(state.curriculum, rollout.outcomes),
+        normaliser=observe(
+            state.normaliser,
+            rollout.episodes,
+            rollout.outcomes.valid,
+            floor=settings.normaliser_floor,
+            distance_threshold=env.distance_threshold,
+        ),
+        statistics=_count(state.statistics, rollout, env.distance_threshold),
+        env_steps=state.env_steps + settings.environments * env.episode_length,
+    )
+    return learn(setup, state, hyper, draw_key, agent_key)
+
+
+def training_policy(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters, goals: Goals
+) -> Policy:
+    """The agent as it acts in training, with noise."""
+
+    def policy(observation: jax.Array, goal: jax.Array, noise: Exploration | None) -> jax.Array:
+        assert noise is not None
+        inputs = network_inputs(
+            setup, hyper, state.normaliser, observation, goal, goals.mask, goals.threshold
+        )
+        action = hyper.agent.act(state.agent, inputs, noise.key)
+        return explore(noise, action, perturb=not hyper.agent.explores)
+
+    return policy
+
+
+def _view(setup: Setup, state: TrainingState, hyper: Hyperparameters, first: object) -> View:
+    """What the curriculum may look at."""
+    agent = hyper.agent
+
+    def value(observation: jax.Array, goal: jax.Array) -> jax.Array:
+        mask, threshold = (
+            jnp.ones_like(goal),
+            jnp.full(goal.shape[:-1], setup.env.distance_threshold),
+        )
+        inputs = network_inputs(setup, hyper, state.normaliser, observation, goal, mask, threshold)
+        return agent.value(state.agent, inputs, agent.act(state.agent, inputs))
+
+    return View(
+        first=first,
+        achieved=state.replay.episodes.achieved_goal,
+        filled=size(state.replay),
+        value=value,
+    )
+
+
+def _count(statistics: EpochStatistics, rollout: Rollout, threshold: float) -> EpochStatistics:
+    outcomes = rollout.outcomes
+    valid = outcomes.valid
+    moved = moved_goal(rollout.episodes.achieved_goal, threshold)
+    statistics = statistics.replace(
+        episodes=statistics.episodes + valid.sum(),
+        moved_episodes=statistics.moved_episodes + jnp.sum(valid & moved),
+        physics_warnings=statistics.physics_warnings + jnp.sum(~valid),
+    )
+    if not statistics.mask_episodes.size:
+        return statistics
+    drawn = mask_indices(outcomes.goals.mask)
+    return statistics.replace(
+        mask_episodes=statistics.mask_episodes.at[drawn].add(valid),
+        mask_successes=statistics.mask_successes.at[drawn].add(valid & outcomes.success),
+    )

@@ -1,0 +1,92 @@
+"""The end of an epoch: noise-free episodes, and what metrics.jsonl is to hold."""
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.agents.networks import apply_actor
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.curricula.protocol import Goals
+from cgm_jax.loop.exploration import Exploration
+from cgm_jax.loop.inputs import network_inputs
+from cgm_jax.loop.rollout import Policy, drawn_goals, reset, roll_out
+from cgm_jax.loop.setup import Setup, sizes
+from cgm_jax.loop.state import EpochStatistics, TrainingState, empty_statistics
+
+Metrics = dict[str, jax.Array]
+
+
+def evaluate(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters
+) -> tuple[TrainingState, Metrics]:
+    """Close an epoch: noise-free episodes with the full goal, and the epoch's metrics.
+
+    Tells the curriculum what came of them, starts new epoch statistics, and returns, per run, what
+    metrics.jsonl holds. What the curriculum reports is what the epoch was trained with, so before
+    this evaluation. Evaluation steps do not count as `env_steps`.
+    """
+    key, reset_key, examination_key = jax.random.split(state.key, 3)
+    first = reset(setup.env, reset_key, setup.settings.evaluation_episodes)
+    goals = drawn_goals(setup.env, first)
+    outcomes = roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals).outcomes
+    valid = outcomes.valid
+    episodes = valid.sum()
+    broken, examined = jnp.sum(~valid), None
+    masks = hyper.curriculum.examination(sizes(setup, hyper))
+    if masks is not None:
+        first = reset(setup.env, examination_key, len(masks))
+        goals = drawn_goals(setup.env, first).replace(mask=masks)
+        policy = final_policy(setup, state, hyper, goals)
+        examined = roll_out(setup.env, policy, first, goals).outcomes
+        broken += jnp.sum(~examined.valid)
+    metrics = {
+        "env_steps": state.env_steps,
+        "updates": state.updates,
+        "success_rate": _share(jnp.sum(valid & outcomes.success), episodes),
+        "subgoal_success": _share(jnp.sum(valid[:, None] & outcomes.subgoal_success, 0), episodes),
+        **hyper.curriculum.report(state.curriculum),
+        **_training_metrics(state.statistics),
+        "physics_warnings": state.statistics.physics_warnings + broken,
+        "failure": state.failure,
+    }
+    return state.replace(
+        key=key,
+        curriculum=hyper.curriculum.after_evaluation(state.curriculum, outcomes, examined),
+        statistics=empty_statistics(setup.masks, hyper.agent.logged),
+    ), metrics
+
+
+def final_policy(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters, goals: Goals
+) -> Policy:
+    """The deterministic policy that is evaluated and exported."""
+    actor = hyper.agent.actor(state.agent)
+
+    def policy(observation: jax.Array, goal: jax.Array, noise: Exploration | None) -> jax.Array:
+        del noise
+        inputs = network_inputs(
+            setup, hyper, state.normaliser, observation, goal, goals.mask, goals.threshold
+        )
+        return apply_actor(actor, inputs)
+
+    return policy
+
+
+def _training_metrics(statistics: EpochStatistics) -> Metrics:
+    losses = {name: _share(total, statistics.updates) for name, total in statistics.losses.items()}
+    moved = {"moved_share": _share(statistics.moved_episodes, statistics.episodes)}
+    if not statistics.mask_episodes.size:
+        return moved | losses
+    masks = {
+        "mask_rate_training": _share(statistics.mask_successes, statistics.mask_episodes),
+        "mask_share": _share(statistics.mask_episodes, statistics.episodes),
+    }
+    return masks | moved | losses
+
+
+def _share(part: jax.Array, whole: jax.Array) -> jax.Array:
+    """A share, or NaN (written as null) of nothing; without dividing 0 by 0.
+
+    While JAX searches for NaN it must not find this one, so that it is infinite then.
+    """
+    nothing = -jnp.inf if jax.config.jax_debug_nans else jnp.nan  # pyright: ignore
+    return jnp.where(whole > 0, part / jnp.maximum(whole, 1), nothing)

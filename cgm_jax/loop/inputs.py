@@ -1,0 +1,42 @@
+"""What the networks see: normalised observation and goal, and what else tells goals apart.
+
+A masked dimension and one that happens to be achieved look alike. With `mask_input` the networks
+also see which dimensions are masked (1 = masked); with a curriculum that varies the threshold, its
+logarithm over the environment's own. Both are 0 for the full goal, so that an exported policy,
+which serves that, needs none of it.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.normaliser import Normaliser, network_input
+from cgm_jax.loop.setup import Setup
+
+
+def network_inputs(
+    setup: Setup,
+    hyper: Hyperparameters,
+    normaliser: Normaliser,
+    observation: jax.Array,
+    goal: jax.Array,
+    mask: jax.Array,
+    threshold: jax.Array,
+) -> jax.Array:
+    """Inputs [..., sizes.inputs] for observations [..., o] and masked goals [..., n].
+
+    Args:
+        setup: says what is shown.
+        hyper: of the run.
+        normaliser: of the run.
+        observation: [..., o].
+        goal: masked, [..., n].
+        mask: [..., n].
+        threshold: [...].
+    """
+    parts = [network_input(normaliser, observation, goal)]
+    if setup.settings.mask_input:
+        parts.append(1.0 - mask)
+    if hyper.curriculum.shows_threshold:
+        parts.append(jnp.log(threshold / setup.env.distance_threshold)[..., None])
+    return jnp.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]

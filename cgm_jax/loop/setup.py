@@ -1,0 +1,99 @@
+"""What the loop works with, and the state of a run before any training."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.config.fields import check_concrete
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.masks import MAX_TABULATED
+from cgm_jax.envs import GoalEnvironment
+from cgm_jax.loop.normaliser import initial_normaliser
+from cgm_jax.loop.state import TrainingState, empty_statistics
+from cgm_jax.replay.ring import empty_replay
+
+
+class Setup(NamedTuple):
+    """An environment and the static settings of the loop.
+
+    Attributes:
+        env: what to train on.
+        settings: `settings.env` and `settings.engine` are not read.
+        like: shapes of a state of the environment.
+    """
+
+    env: GoalEnvironment
+    settings: Settings
+    like: Any
+
+    @property
+    def goal_size(self) -> int:
+        """Dimensions of a goal, n."""
+        return self.like.obs["desired_goal"].shape[-1]
+
+    @property
+    def masks(self) -> int:
+        """How many masks metrics tell apart: 2^n, or 0 where that is too many."""
+        return 2**self.goal_size if self.goal_size <= MAX_TABULATED else 0
+
+
+def make_setup(env: GoalEnvironment, settings: Settings) -> Setup:
+    """Look at an environment without running it."""
+    return Setup(env, settings, jax.eval_shape(env.reset, jax.random.key(0)))
+
+
+def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
+    """What the curriculum and the agent of a run may know of the task and the loop."""
+    settings, env = setup.settings, setup.env
+    observation, goal = setup.like.obs["observation"].shape[-1], setup.goal_size
+    shown = goal * settings.mask_input + hyper.curriculum.shows_threshold
+    return Sizes(
+        observation=observation,
+        goal=goal,
+        action=env.action_size,
+        inputs=observation + goal + shown,
+        episode_length=env.episode_length,
+        distance_threshold=env.distance_threshold,
+        environments=settings.environments,
+        evaluation_episodes=settings.evaluation_episodes,
+        updates_per_cycle=settings.updates_per_cycle,
+        critics=hyper.agent.critics,
+        starts=setup.like if hasattr(env, "restart") else None,
+    )
+
+
+def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
+    """The state of a run before any training; of its randomness, `hyper.seed` is all.
+
+    Raises:
+        SettingError: the environment, the loop, the agent and the curriculum do not go together,
+            or a value that is not traced is out of its range.
+    """
+    check_concrete(hyper)
+    known, settings = sizes(setup, hyper), setup.settings
+    key, agent_key = jax.random.split(jax.random.key(hyper.seed))
+    length = known.episode_length
+    return TrainingState(
+        key=key,
+        agent=hyper.agent.init(agent_key, known),
+        curriculum=hyper.curriculum.init(known),
+        normaliser=initial_normaliser(
+            known.observation,
+            known.goal,
+            limit=settings.normaliser_limit,
+            distance_threshold=known.distance_threshold,
+        ),
+        replay=empty_replay(
+            max(settings.replay_transitions // length, settings.environments),
+            length,
+            known.observation,
+            known.goal,
+            known.action,
+        ),
+        statistics=empty_statistics(setup.masks, hyper.agent.logged),
+        env_steps=jnp.zeros((), jnp.int32),
+        updates=jnp.zeros((), jnp.int32),
+        failure=jnp.zeros((), jnp.int32),
+    )

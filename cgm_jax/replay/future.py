@@ -1,0 +1,97 @@
+"""Hindsight experience replay: transitions whose goal was reached later in their episode.
+
+Andrychowicz et al. (2017), strategy "future": a relabelled transition at step t gets the goal
+achieved at a uniformly drawn later step t' of {t+1..T}, with the full mask. The others keep
+their episode's own goal and mask.
+
+With the filter on, only episodes that moved the achieved goal are relabelled. In the others every
+hindsight goal is achieved from the start by doing nothing, and early on, while an arm has yet to
+find its block, they are nearly all there is. With masks on, hindsight goals keep their episode's
+mask, as GS-HER does (2026, arXiv 2606.09476).
+"""
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.config.fields import settings, traced
+from cgm_jax.curricula.goals import apply_mask, is_achieved
+from cgm_jax.replay.protocol import Relabelling, Transitions
+from cgm_jax.replay.ring import Replay, size
+
+LEAST_MOTION = 0.05
+"""An episode moved its achieved goal if it strayed farther than this share of the distance
+threshold from where it began."""
+
+
+@settings
+class Future(Relabelling):
+    """HER's strategy "future". Its settings, with the names of the options."""
+
+    her: bool = traced(True, "hindsight experience replay; off: only original goals")
+    her_k: float = traced(6.0, "relabelled transitions for each original one", 0, 1e6)
+    her_filter: bool = traced(False, "relabel only episodes that moved the achieved goal")
+    her_masks: bool = traced(False, "hindsight goals keep their episode's mask")
+
+    def sample(
+        self, key: jax.Array, replay: Replay, count: int, distance_threshold: float
+    ) -> Transitions:
+        """Draw transitions uniformly from the ring, and relabel each with probability k / (k + 1).
+
+        With the filter, those to relabel come uniformly from the episodes that moved the achieved
+        goal, while there is one.
+        """
+        episodes = replay.episodes
+        episode_length = episodes.action.shape[1]
+        uniform = jax.random.uniform(key, (4, count))
+        relabel = uniform[3] < jnp.where(self.her, self.her_k / (self.her_k + 1.0), 0.0)
+        moved = moved_goal(episodes.achieved_goal, distance_threshold)
+        eligible = moved & (jnp.arange(len(moved)) < size(replay)) & self.her_filter
+        episode = jnp.where(
+            relabel & eligible.any(),
+            _drawn_among(eligible, uniform[0]),
+            integer_below(jnp.maximum(size(replay), 1), uniform[0]),
+        )
+        step = integer_below(episode_length, uniform[1])
+        future = step + 1 + integer_below(episode_length - step, uniform[2])
+
+        hindsight_goal = episodes.achieved_goal[episode, future]
+        goal = jnp.where(relabel[:, None], hindsight_goal, episodes.desired_goal[episode])
+        whole = (relabel & ~jnp.asarray(self.her_masks))[:, None]
+        mask = jnp.where(whole, 1.0, episodes.mask[episode])
+        threshold = episodes.threshold[episode]
+        achieved, next_achieved = (episodes.achieved_goal[episode, step + i] for i in (0, 1))
+        return Transitions(
+            observation=episodes.observation[episode, step],
+            goal=apply_mask(goal, mask, achieved),
+            mask=mask,
+            threshold=threshold,
+            action=episodes.action[episode, step],
+            reward=jnp.where(is_achieved(goal, mask, next_achieved, threshold), 0.0, -1.0),
+            next_observation=episodes.observation[episode, step + 1],
+            next_goal=apply_mask(goal, mask, next_achieved),
+        )
+
+    def idle(self) -> frozenset[str]:
+        """Without HER, what is about HER."""
+        return frozenset() if self.her else frozenset({"her_k", "her_filter", "her_masks"})
+
+
+def moved_goal(achieved_goal: jax.Array, distance_threshold: float) -> jax.Array:
+    """Whether episodes moved their achieved goal [E, T + 1, n], [E] bool; see `LEAST_MOTION`."""
+    strayed = jnp.linalg.norm(achieved_goal[:, 1:] - achieved_goal[:, :1], axis=-1).max(axis=1)
+    return strayed > LEAST_MOTION * distance_threshold
+
+
+def _drawn_among(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
+    """Turn numbers uniform in [0, 1) into indices, uniform among those that are eligible."""
+    count = jnp.cumsum(eligible)
+    return jnp.searchsorted(count, 1 + integer_below(count[-1], uniform))
+
+
+def integer_below(bound: int | jax.Array, uniform: jax.Array) -> jax.Array:
+    """Turn numbers uniform in [0, 1) into integers uniform in {0..bound - 1}.
+
+    Far cheaper to compile than `jax.random.randint`. JAX's float32 draws have 23 bits, which makes
+    probabilities uneven by at most bound / 2^23. Rounding must not reach the bound.
+    """
+    return jnp.minimum(jnp.floor(uniform * bound).astype(jnp.int32), bound - 1)
