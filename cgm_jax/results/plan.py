@@ -1,8 +1,8 @@
-"""What policies are evaluated on. No JAX is imported here, so that bad plans are refused early."""
+"""What policies are evaluated on. Needs no device, so that bad plans are refused early."""
 
 from dataclasses import dataclass
 
-from cgm_jax.config.settings import SettingError
+from cgm_jax.config.fields import SettingError
 
 AXES = "xyz"
 """Letters of the first goal dimensions, as `--mask` names them."""
