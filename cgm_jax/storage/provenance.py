@@ -10,6 +10,7 @@ from typing import Any
 
 from cgm_jax.config.named import files_of, folder_of
 from cgm_jax.config.user_code import digest_of
+from cgm_jax.host.allotment import available_cores
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
 TITLES = {
@@ -131,8 +132,6 @@ def _commit() -> str | None:
 
 def _machine() -> str:
     """The system, and how many of its cores this process may use: bits depend on both."""
-    from cgm_jax.envs.physics.native import available_cores  # imports JAX
-
     usable, there = available_cores(), os.cpu_count()
     cores = f"{there} cores" if usable == there else f"{usable} of {there} cores"
     return f"{platform.platform()}, {cores}"
