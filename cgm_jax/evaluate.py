@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 VIDEO_FORMATS = (".mp4", ".gif")
 MAX_VIDEO_EPISODES = 1000
-WIDTH_STEP, GREATEST_WIDTH = 64, 1280
+WIDTH_STEP, MAX_WIDTH = 64, 1280
 """Encoders want both sides to be multiples of 16, and the height is three quarters."""
 
 
@@ -123,8 +123,8 @@ def _check_video(path: Path, width: int) -> None:
         raise SettingError(f"video: {path} ends neither in .mp4 nor in .gif")
     if not path.parent.is_dir():
         raise SettingError(f"video: {path.parent} is no directory")
-    if width % WIDTH_STEP or not WIDTH_STEP <= width <= GREATEST_WIDTH:
-        bounds = f"a multiple of {WIDTH_STEP} within [{WIDTH_STEP}, {GREATEST_WIDTH}]"
+    if width % WIDTH_STEP or not WIDTH_STEP <= width <= MAX_WIDTH:
+        bounds = f"a multiple of {WIDTH_STEP} within [{WIDTH_STEP}, {MAX_WIDTH}]"
         raise SettingError(f"video_width: {width} is not {bounds}")
 
 

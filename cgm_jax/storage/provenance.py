@@ -22,7 +22,7 @@ TITLES = {
 }
 """Entries that are one text each, and what to call them."""
 
-LONGEST_SHOWN = 100
+MAX_SHOWN = 100
 
 
 def provenance(device: str, own_names: Iterable[str]) -> dict[str, Any]:
@@ -141,4 +141,4 @@ def _shown(value: Any) -> str:
     """A value from a config, which may come from anybody: one short line, fit for a terminal."""
     text = "none" if value is None else str(value)
     text = "".join(letter if letter.isprintable() else "?" for letter in text) or "none"
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
