@@ -10,8 +10,8 @@ Grid = dict[str, list[Any]]
 
 # The manipulation tasks with HER on a CPU, where network updates are the cost: narrow networks,
 # half the batch, the actor every second time, which saved more time than it seemed to cost learning
-# in trials (experiments/results/cpu_settings/tried.csv). Targets follow by Polyak averaging at every
-# update, and the target actor is the steadier policy. Hindsight only where something moved.
+# in trials (experiments/results/cpu_settings/tried.csv). Targets follow by Polyak averaging at
+# every update, and the target actor is the steadier policy. Hindsight only where something moved.
 _CPU: Grid = {
     "cycles_per_epoch": [25],
     "batch_size": [512],
