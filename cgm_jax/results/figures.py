@@ -12,10 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")  # no display needed
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -50,7 +46,6 @@ def draw_figures(directory: RunDirectory) -> list[Path]:
             figure = draw(rows)
             with replacing(path) as file:
                 figure.savefig(file, dpi=130, format="png")
-            plt.close(figure)
             paths.append(path)
         except Exception as error:
             line = str(error).partition("\n")[0]
@@ -78,7 +73,7 @@ def learning_curves(rows: Rows) -> Figure:
             _draw_success(panel, plain[env, her], "no CGM", "black")
         by_rate = sorted(same, key=lambda row: (row["cgm"], row["c_g"]))
         lines = list(_grouped(by_rate, _line_label).items())
-        colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, len(lines)))
+        colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(lines)))
         for (label, runs), colour in zip(lines, colours, strict=True):
             _draw_success(panel, runs, label, colour)
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
@@ -212,7 +207,7 @@ def _epochs_to_half(rows: Rows) -> tuple[float, float, float]:
 def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
     masks = len(rows[0][name])
     size = masks.bit_length() - 1
-    colours = plt.get_cmap("turbo")(np.linspace(0.05, 0.95, masks))
+    colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, masks))
     few = [*(1 << i for i in range(size)), masks - 1]  # single dimensions and the full goal
     for mask in range(masks) if masks <= 16 else few:
         steps, curves = curves_of(rows, lambda row, mask=mask: row[name][mask])
@@ -295,13 +290,9 @@ def make_panels(
     """A figure with `count` panels of this size (inches), in rows of at most `columns`."""
     columns = min(columns, count)
     lines = -(-count // columns)
-    figure, grid = plt.subplots(
-        lines,
-        columns,
-        figsize=(width * columns, height * lines),
-        squeeze=False,
-        layout="constrained",
-    )
+    # Not by pyplot, which would choose a backend for the whole process and keep the figure.
+    figure = Figure(figsize=(width * columns, height * lines), layout="constrained")
+    grid = figure.subplots(lines, columns, squeeze=False)
     panels = list(grid.flat)
     for unused in panels[count:]:
         unused.remove()
