@@ -12,7 +12,7 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     """Input was refused; one line names the field."""
     DIVERGED = 3
-    """Done, but some runs diverged; they are named."""
+    """Done, but some runs diverged, or had no valid episode in the end; they are named."""
     CANNOT_WRITE = 74
     """A full disk, or a directory that cannot be written to (EX_IOERR)."""
     STOPPED = 75

@@ -34,12 +34,12 @@ from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
-from cgm_jax.storage.lock import locked
+from cgm_jax.storage.lock import HOLDER, LOCK, locked
 from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 METRICS = "metrics.jsonl"
 CONFIG = "config.json"
-PARTS = (CONFIG, METRICS, "lock", "policies", "figures", "checkpoints")
+PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
 
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
@@ -136,8 +136,9 @@ class RunDirectory:
         """Bring a lost or torn config.json back from a checkpoint; return a line if that was done.
 
         Raises:
-            SettingError: it cannot be written.
+            SettingError: it cannot be written, or a part of the directory leads elsewhere.
         """
+        _check_parts(self.path)
         try:
             return restore_config(self.path / CONFIG, self.path / "checkpoints")
         except OSError as error:

@@ -183,8 +183,9 @@ def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 BAD_INPUT = {
     "": "directory: name one",
     "runs --random --env reach": "random: goes with --env, not with a directory",
-    "--random": "env: goes with --random",
-    "runs --env reach": "env: goes with --random",
+    "--random": "env: --random needs one",
+    "--random --env reach push": "env: --random needs one",
+    "nowhere --env reach": "nowhere holds no sweep",
     "--random --env slide": "env: unknown environment 'slide'",
     "--random --env reach --engine bullet": "engine: unknown engine 'bullet'",
     "--random --env reach --mask xq": "mask: 'xq' is not made of x, y and z",
