@@ -73,6 +73,8 @@ class SweepProgress:
         trace: TracebackType | None,
     ) -> None:
         if self._redraws:
+            if self._bar.finished:  # a summary comes that lists all runs; once is enough
+                self._live.update(self._bar)
             self._live.__exit__(kind, error, trace)
 
     def skip(self, cycles: int) -> None:
