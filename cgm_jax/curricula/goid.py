@@ -18,10 +18,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.candidates import achieved_goals, between, draw_eligible, nearest_success
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 from cgm_jax.curricula.recent import Recent, empty_recent, mean_of, record
-from cgm_jax.envs.goals import Sizes
 
 
 class Practised(struct.PyTreeNode):

@@ -8,7 +8,7 @@ random actions from starts that were good, beginning at a state in which the onl
 here they are states that training episodes visit (a random step of each), since goals differ and
 no such state is given. And where it tries every start several times, R(s, g) is the mean
 success of the training episodes that began where the critics expected most nearly the same return,
-Q(s, pi(s, g), g). While no visited state is of intermediate difficulty, any of them is a start.
+Q(s, pi(s, g), g); so starts are chosen as well as the critics tell near from far. While no visited state is of intermediate difficulty, any of them is a start.
 
     python -m cgm_jax.train --curriculum starts --reset-share 0.5
 
@@ -22,10 +22,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.candidates import between, draw_eligible, nearest_success
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 from cgm_jax.curricula.recent import Recent, empty_recent, mean_of, record
-from cgm_jax.envs.goals import Sizes
 
 
 class Begun(struct.PyTreeNode):

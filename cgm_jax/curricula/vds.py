@@ -18,8 +18,8 @@ from flax import struct
 from jax.scipy.special import xlogy
 
 from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
-from cgm_jax.envs.goals import Sizes
 
 
 class VDSState(struct.PyTreeNode):

@@ -14,8 +14,8 @@ import numpy as np
 from brax.envs.base import State
 
 from cgm_jax.config.settings import Settings
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.protocol import Goals, Outcomes, View
-from cgm_jax.envs.goals import Sizes
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Trainer, make_trainer
 from tests.cgm_jax.probe import tiny
@@ -64,12 +64,14 @@ def medium_share(distance: np.ndarray) -> float:
 
 
 @functools.cache
-def walk(curriculum: str, env: Line, cycles: int, **values: Any) -> tuple[Trainer, TrainingState]:
+def walk(
+    curriculum: str, env: Line, cycles: int, updates: int = 4, **values: Any
+) -> tuple[Trainer, TrainingState]:
     """Train with random actions, so that success does not depend on what is learned."""
     settings = Settings(
         env="line",
         environments=16,
-        updates_per_cycle=4,
+        updates_per_cycle=updates,
         batch_size=64,
         replay_transitions=16 * STEPS * cycles,
     )

@@ -83,6 +83,7 @@ def test_the_report_says_how_the_practised_goals_went() -> None:
     np.testing.assert_allclose(curriculum.report(practised(curriculum))["goid_success"], 16 / 30)
 
 
+@pytest.mark.slow
 def test_training_practises_goals_of_intermediate_success() -> None:
     """On the walk, that is known: at distances of 2.2 to 6.9 it is 90 to 10 %."""
     own = {"neighbours": 30, "old_goal_share": 0.0}

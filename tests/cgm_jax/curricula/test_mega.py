@@ -144,6 +144,7 @@ def test_alpha_is_one_over_the_divergence_of_the_two_densities() -> None:
     np.testing.assert_allclose(1 / goals.memo.alpha, 2.0 + divergence, rtol=0.5)
 
 
+@pytest.mark.slow
 def test_training_practises_the_frontier() -> None:
     ours, full = (walk(name, Line(), 60)[1].replay.episodes for name in ("mega", "full"))
     achieved = np.abs(np.asarray(ours.achieved_goal))

@@ -10,9 +10,10 @@ from cgm_jax.curricula.recent import empty_recent, mean_of, record
 def test_a_ring_holds_the_last_valid_rows_as_a_deque_does() -> None:
     rng = np.random.default_rng(0)
     ring, oracle = empty_recent(jnp.zeros(()), 5), deque(maxlen=5)
-    for batch in (3, 1, 4, 8, 2):  # 8 is more than it holds
-        rows, valid = rng.normal(size=batch).astype(np.float32), rng.random(batch) < 0.7
-        ring = record(ring, jnp.asarray(rows), jnp.asarray(valid))
+    step = jax.jit(record)
+    for share in (0.2, 0.3, 0.9, 0.2, 1.0, 0.5):  # also of more than it holds
+        rows, valid = rng.normal(size=8).astype(np.float32), rng.random(8) < share
+        ring = step(ring, jnp.asarray(rows), jnp.asarray(valid))
         oracle.extend(rows[valid])
         held = np.asarray(ring.rows)[np.asarray(ring.filled)]
         np.testing.assert_array_equal(np.sort(held), np.sort(oracle))

@@ -68,6 +68,7 @@ def test_a_sweep_gives_each_curriculum_the_critics_it_wants() -> None:
         assert all(run.hyper.agent.critics == run.values["critics"] for run in runs)
 
 
+@pytest.mark.slow
 def test_training_practises_goals_that_critics_disagree_about() -> None:
     values = {"disagreement_power": 4.0}
     trainer, state = walk("vds", Line(), 60, **values)
