@@ -6,9 +6,10 @@ A start is a state of the environment with the goal that was pursued there; a sh
 begins at a reset. Goals are the environment's. What differs from the paper: it spreads starts by
 random actions from starts that were good, beginning at a state in which the only goal is achieved;
 here they are states that training episodes visit (a random step of each), since goals differ and
-no such state is given. And where it tries every start several times, R(s, g) is the mean
-success of the training episodes that began where the critics expected most nearly the same return,
-Q(s, pi(s, g), g); so starts are chosen as well as the critics tell near from far. While no visited state is of intermediate difficulty, any of them is a start.
+no such state is given. And where it tries every start several times, R(s, g) is the mean success of
+the training episodes that began where the critics expected most nearly the same return,
+Q(s, pi(s, g), g); so starts are chosen as well as the critics tell near from far. While no visited
+state is of intermediate difficulty, any of them is a start.
 
     python -m cgm_jax.train --curriculum starts --reset-share 0.5
 

@@ -10,7 +10,8 @@ def test_success_is_the_mean_over_the_nearest_that_were_practised() -> None:
     rng = np.random.default_rng(0)
     points, practised = (rng.normal(size=(m, 3)).astype(np.float32) for m in (20, 40))
     success, filled = rng.random(40) < 0.5, np.arange(40) < 25
-    estimates = nearest_success(*map(jnp.asarray, (points, practised, success, filled)), 7)
+    known = jnp.asarray(practised), jnp.asarray(success), jnp.asarray(filled)
+    estimates = nearest_success(jnp.asarray(points), *known, 7)
     for point, estimate in zip(points, estimates, strict=True):
         distance = np.linalg.norm(practised[:25] - point, axis=1)
         np.testing.assert_allclose(estimate, success[np.argsort(distance)[:7]].mean(), rtol=1e-6)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.goid import GOID
+from cgm_jax.curricula.goid import GOID, GOIDState
 from tests.cgm_jax.curricula.line import (
     SIZES,
     Line,
@@ -20,7 +20,7 @@ GOALS = np.stack([np.repeat([0.0, 1.0, 2.0], 10), np.zeros(30)], axis=1)
 SUCCESS = np.concatenate([np.arange(10) < n for n in (1, 5, 10)])
 
 
-def practised(curriculum: GOID) -> object:
+def practised(curriculum: GOID) -> GOIDState:
     goals = drawn_goals(GOALS).replace(memo=jnp.asarray(0.0))
     return curriculum.after_training(curriculum.init(SIZES), outcomes(goals, SUCCESS))
 

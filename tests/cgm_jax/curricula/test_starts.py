@@ -21,9 +21,9 @@ from tests.cgm_jax.curricula.line import (
 
 def states(position: np.ndarray) -> State:
     """States [E] at these positions [E, 2], each with the goal (9, position[0])."""
-    position = jnp.asarray(position, jnp.float32)
-    goal = jnp.stack([jnp.full(len(position), 9.0), position[:, 0]], axis=1)
-    obs = {"observation": position, "achieved_goal": position, "desired_goal": goal}
+    here = jnp.asarray(position, jnp.float32)
+    goal = jnp.stack([jnp.full(len(here), 9.0), here[:, 0]], axis=1)
+    obs = {"observation": here, "achieved_goal": here, "desired_goal": goal}
     return State(None, obs, jnp.zeros(len(position)), jnp.zeros(len(position)))
 
 
