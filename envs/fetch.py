@@ -92,6 +92,12 @@ class FetchEnvironment(Env):
             positions = positions.at[here].set(object_xy)
         return self._state(self.physics.start(positions), jnp.asarray(desired_goal, jnp.float32))
 
+    def restart(self, state: State) -> State:
+        """Begin an episode in a state that an earlier one visited, with its goal."""
+        physics_state: PhysicsState = state.pipeline_state  # pyright: ignore[reportAssignmentType]
+        anew = physics_state.replace(warnings=jnp.zeros_like(physics_state.warnings))
+        return self._state(anew, state.obs["desired_goal"])
+
     def step(self, state: State, action: jax.Array) -> State:
         """Advance by one control step of 0.04 s with `action` [4] in [-1, 1].
 
