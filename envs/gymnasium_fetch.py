@@ -185,6 +185,11 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
         self.state: State | None = None
         self._size, self._renderer = (width, height), None
 
+    @property
+    def distance_threshold(self) -> float:
+        """A goal is achieved closer than this, metres."""
+        return self.fetch.distance_threshold
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

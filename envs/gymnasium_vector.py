@@ -87,6 +87,11 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
         self._ended = np.zeros(num_envs, bool)
         self._size, self._renderer = (width, height), None
 
+    @property
+    def distance_threshold(self) -> float:
+        """A goal is achieved closer than this, metres."""
+        return self.fetch.distance_threshold
+
     def reset(
         self,
         *,

@@ -1,6 +1,8 @@
-"""Who learns, and what the networks see.
+"""Who learns.
 
-ddpg.py        actor and critic updates; networks.py their shape
-normaliser.py  running mean and standard deviation of observations and goals
-policy.py      trained policies as plain arrays
+protocol.py   what an agent offers to the loop
+ddpg.py       deep deterministic policy gradient: the paper's agent
+networks.py   shapes of actor and critic; gradients.py steps and target networks
+
+Every file with a class derived from `Agent` is a value of `--agent`.
 """

@@ -19,7 +19,7 @@ from cgm_jax.agents.gradients import ADAM, clip_return, descend, follow, in_roun
 from cgm_jax.agents.networks import apply_actor, apply_critic, initial_actor, initial_critic
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import SettingError, settings, static, traced
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 
 
 class DDPGState(struct.PyTreeNode):

@@ -1,14 +1,14 @@
-"""What to practise. A curriculum is a file, and the file's name is the option's value.
+"""What to practise.
 
 protocol.py      what a curriculum offers to the loop, and what it is told
-full.py          the environment's own goals, whole
-uniform.py       masks drawn uniformly
-cgm.py           masks near a chosen success rate (the paper's)
-learnability.py  masks that succeed sometimes
-progress.py      masks whose success changes
+cgm.py           curriculum goal masking: the paper's
+full.py          none: always the environment's own goal; uniform.py masks drawn uniformly
+learnability.py  masks that sometimes succeed; progress.py masks whose success changes
 accuracy.py      distance thresholds whose success changes
+goals.py         masked goals, and when they are achieved
+masks.py         all masks of a goal, and the paper's weights
+lookahead.py     the same without a table of all masks; levels.py difficulty first
+history.py       success rates over evaluation episodes; windows.py over training episodes
 
-masks.py         all masks of a goal in a table; lookahead.py and levels.py: without a table
-history.py       success rates over evaluation episodes
-windows.py       success rates over training episodes, and how they change
+Every file with a class derived from `Curriculum` is a value of `--curriculum`.
 """

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.masks import proportional
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 from cgm_jax.curricula.windows import (
@@ -32,7 +33,6 @@ from cgm_jax.curricula.windows import (
     record_episodes,
     window_rates,
 )
-from cgm_jax.envs.goals import Sizes
 
 
 class AccuracyState(struct.PyTreeNode):

@@ -10,7 +10,7 @@ rates (`factorised` off) and noise-free episodes of each mask (`masked_evaluatio
 Goals of more than ten dimensions have too many masks for a table, which both of these need: masks
 are then drawn dimension by dimension, see lookahead.py. In many dimensions nearly all masks are far
 from c_g, and the weights of single masks do not make up for that. With `mask_levels`, a method of
-this project, a difficulty is drawn first, and then a uniform mask of that difficulty, see levels.py.
+this project, a difficulty is drawn first, and then a uniform mask of it, see levels.py.
 
     python -m cgm_jax.train --curriculum cgm --c-g 0.1 --kappa 32
 """
@@ -21,6 +21,7 @@ from flax import struct
 from jax.typing import ArrayLike
 
 from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.history import (
     SuccessHistory,
     empty_history,
@@ -44,8 +45,6 @@ from cgm_jax.curricula.masks import (
     sample_masks,
 )
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
-from cgm_jax.envs.goals import Sizes
-
 
 REPORTED_DRAWS = 1024
 """Masks that a report on goals of many dimensions draws, to say what is practised."""

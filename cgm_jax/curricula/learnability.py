@@ -5,17 +5,17 @@
 The paper scores levels by p (1 - p), the variance of their success. It draws thousands at random,
 runs the policy on each, and trains on the best scored. Here masks take the place of levels: all of
 them are scored, none is run for it, and each is drawn in proportion to its score instead of evenly
-from the best. Sub-goal rates are CGM's, means over the last h noise-free evaluation episodes. Before
-any, the full goal is taken to succeed half of the time, where the score is greatest. Masks are
-uniform where no score is above 0, so where every sub-goal always or never succeeds.
+from the best. Sub-goal rates are CGM's: means over the last h noise-free evaluation episodes.
+Before any, the full goal is taken to succeed half of the time, where the score is greatest. Masks
+are uniform where no score is above 0, so where every sub-goal always or never succeeds.
 
     python -m cgm_jax.train --curriculum learnability --success-history 20
 """
 
 import jax
-import jax.numpy as jnp
 
 from cgm_jax.config.fields import settings, static
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.history import (
     SuccessHistory,
     empty_history,
@@ -30,7 +30,6 @@ from cgm_jax.curricula.masks import (
     sample_masks,
 )
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
-from cgm_jax.envs.goals import Sizes
 
 MOST_LEARNABLE = 0.5
 """The success rate at which c (1 - c) is greatest."""

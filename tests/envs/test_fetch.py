@@ -15,8 +15,8 @@ from cgm_jax import envs
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.mocap_controller import ControlTarget
 from cgm_jax.envs.physics.native import NativePhysics
-from tests.envs.measures import success, warnings
-from tests.envs.scripted import CONTROLLERS, Player
+from experiments.physics.scripted import CONTROLLERS, Player, success
+from tests.envs.measures import warnings
 
 STARTS = Path(__file__).parents[1] / "data" / "gymnasium_starts.npz"
 GRIP_HOME = {

@@ -16,6 +16,7 @@ from gymnasium.utils.env_checker import check_env
 
 import cgm_jax  # noqa: F401 -- registers the environments
 from cgm_jax.envs.gymnasium_vector import FetchVector
+from cgm_jax.gymnasium import GoalMasking, VectorGoalMasking
 from tests.envs.surface import can_render
 
 NAMES = ("FetchReach", "FetchPush", "FetchPickAndPlace")
@@ -227,6 +228,12 @@ def test_seeds_are_one_per_row() -> None:
     np.testing.assert_array_equal(counted["desired_goal"], listed["desired_goal"][::-1])
     with pytest.raises(ValueError, match="seed: 3 seeds for 2"):
         vector.reset(seed=[1, 2, 3])
+
+
+def test_goals_can_be_masked_by_the_environments_own_threshold() -> None:
+    assert GoalMasking(make("FetchPush")).rule.threshold == 0.05
+    many = make_vec("FetchPush", num_envs=2, distance_threshold=0.1)
+    assert VectorGoalMasking(many).rule.threshold == 0.1
 
 
 def test_the_readmes_example_runs() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 import cgm_jax  # noqa: F401 -- registers the environments
 
-# The optional extra `sb3`, which is large.
+# Large, and not among the requirements: tests/sb3-requirements.txt.
 sb3 = pytest.importorskip("stable_baselines3")
 
 LATER_GOALS = 4

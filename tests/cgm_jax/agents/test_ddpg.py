@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cgm_jax.agents.ddpg import DDPG, Agent, Minibatch
-from cgm_jax.agents.normaliser import network_input
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.normaliser import network_input
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Trainer
 from tests.cgm_jax.probe import TINY, OneStepProbe

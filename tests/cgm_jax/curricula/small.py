@@ -3,6 +3,7 @@
 # Brax types the parts of its State as unknown.
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -12,28 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.envs import GoalEnvironment
-from cgm_jax.envs.goals import Sizes
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_trainer
+from tests.cgm_jax.probe import TINY
 
-SMALL = Settings(
-    env="probe",
-    cycles_per_epoch=2,
-    environments=64,
-    updates_per_cycle=4,
-    batch_size=32,
-    replay_transitions=100_000,
-    evaluation_episodes=10,
-)
-
-
-def small(curriculum: str, **values: Any) -> Hyperparameters:
-    """Settings of a run whose networks are small."""
-    narrow = {"hidden_layers": (16, 16), "target_update_every": 1}
-    return hyperparameters(curriculum=curriculum, **{**narrow, **values})
+SMALL = dataclasses.replace(TINY, environments=64, replay_transitions=100_000)
 
 
 def sizes(goal: int, distance_threshold: float = 0.1) -> Sizes:

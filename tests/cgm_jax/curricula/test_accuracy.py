@@ -7,7 +7,8 @@ from cgm_jax.curricula.accuracy import Accuracy
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.training import make_trainer
-from tests.cgm_jax.curricula.small import SMALL, Distances, epochs, sizes, small
+from tests.cgm_jax.curricula.small import SMALL, Distances, epochs, sizes
+from tests.cgm_jax.probe import tiny
 
 
 def after(curriculum: Accuracy, state: object, thresholds: jax.Array, success: list[int]) -> object:
@@ -42,13 +43,11 @@ def test_probabilities_by_hand(exponent: float) -> None:
     np.testing.assert_allclose(report["threshold_progress"], [0, -0.5, -1])
     np.testing.assert_allclose(report["threshold_rate_training"], [0, 0.25, 0.5])
     weights = np.array([0.1, 0.6, 1.1]) ** exponent
-    np.testing.assert_allclose(
-        report["threshold_probability"], weights / weights.sum(), rtol=1e-5
-    )
+    np.testing.assert_allclose(report["threshold_probability"], weights / weights.sum(), rtol=1e-5)
 
 
 def test_networks_see_the_threshold_and_of_the_environments_own_nothing() -> None:
-    trainer, hyper = make_trainer(Distances(), SMALL), small("accuracy")
+    trainer, hyper = make_trainer(Distances(), SMALL), tiny(curriculum="accuracy")
     state = trainer.init(hyper)
     assert state.agent.actor["params"]["layer_0"]["kernel"].shape[0] == 1 + 1 + 1
     inputs = network_inputs(
@@ -65,7 +64,9 @@ def test_networks_see_the_threshold_and_of_the_environments_own_nothing() -> Non
 
 def test_training_practises_thresholds_whose_success_changes() -> None:
     # Episodes end at 0.15 or 0.25: never within 0.1, within 0.2 by chance, always within 0.3.
-    hyper = small("accuracy", threshold_steps=3, threshold_widest=3.0, progress_floor=1e-3)
+    hyper = tiny(
+        curriculum="accuracy", threshold_steps=3, threshold_widest=3.0, progress_floor=1e-3
+    )
     run = epochs(Distances(), hyper)
     (_, first), (state, second) = next(run), next(run)
     stored = np.asarray(state.replay.episodes.threshold)[: int(state.replay.inserted)]

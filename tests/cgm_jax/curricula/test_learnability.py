@@ -7,7 +7,8 @@ import pytest
 from cgm_jax.config.fields import SettingError
 from cgm_jax.curricula.history import empty_history, record_successes
 from cgm_jax.curricula.learnability import Learnability, learnable
-from tests.cgm_jax.curricula.small import Chances, epochs, sizes, small
+from tests.cgm_jax.curricula.small import Chances, epochs, sizes
+from tests.cgm_jax.probe import tiny
 
 
 def after(successes: list[list[int]]) -> dict[str, np.ndarray]:
@@ -39,12 +40,12 @@ def test_masks_are_uniform_where_all_always_or_never_succeed(rates: list[float])
 
 
 def test_goals_beyond_a_table_are_refused() -> None:
-    with pytest.raises(SettingError, match="curriculum: needs a table .* not 11"):
+    with pytest.raises(SettingError, match=r"curriculum: needs a table .* not 11"):
         Learnability().init(sizes(11))
 
 
 def test_training_practises_what_sometimes_succeeds() -> None:
-    run = epochs(Chances(), small("learnability", success_history=20))
+    run = epochs(Chances(), tiny(curriculum="learnability", success_history=20))
     (_, first), (_, second), (_, third) = (next(run) for _ in range(3))
     assert (first["mask_share"][1:] > 0).all()
     np.testing.assert_array_equal(first["mask_share"][0], 0.0)

@@ -8,7 +8,8 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.curricula.masks import goal_masks
 from cgm_jax.curricula.progress import Progress
 from cgm_jax.curricula.protocol import Goals, Outcomes
-from tests.cgm_jax.curricula.small import SMALL, Chances, epochs, sizes, small
+from tests.cgm_jax.curricula.small import SMALL, Chances, epochs, sizes
+from tests.cgm_jax.probe import tiny
 
 
 def outcomes(masks: np.ndarray, success: list[int]) -> Outcomes:
@@ -39,15 +40,15 @@ def test_probabilities_by_hand() -> None:
 
 
 def test_goals_beyond_a_table_are_refused() -> None:
-    with pytest.raises(SettingError, match="curriculum: needs a table .* not 11"):
+    with pytest.raises(SettingError, match=r"curriculum: needs a table .* not 11"):
         Progress().init(sizes(11))
 
 
 def test_training_practises_what_is_being_learned_and_only_as_long() -> None:
     # The third sub-goal depends on the action, so masks 001 and 101 can be learned; the others
     # always or never succeed. Once they are mastered, nothing changes any more.
-    hyper = small(
-        "progress",
+    hyper = tiny(
+        curriculum="progress",
         progress_window=60,
         progress_floor=1e-3,
         discount=0.0,
