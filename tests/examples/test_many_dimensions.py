@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from brax.envs.base import State
 
-from cgm_jax.loop.environment import make_environment
 from cgm_jax.config.settings import Settings
+from cgm_jax.loop.environment import make_environment
 from tests.examples.many_dimensions import Sliders
 
 ENV = Sliders()
