@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.command_line import name_own_code, parse, run_program
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.results.statistics import wilson_interval
 
@@ -37,8 +38,19 @@ class EvaluateOptions:
     random: bool = False
     """Take uniformly random actions in --env instead of a directory's policies."""
 
-    env: str | None = None
-    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own."""
+    env: tuple[str, ...] | None = None
+    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own. With a directory:
+    a file that its policies were trained on, if it has moved, was edited, or was never named on
+    this machine; so --curriculum, --agent and --relabelling."""
+
+    curriculum: tuple[str, ...] | None = None
+    """See --env."""
+
+    agent: tuple[str, ...] | None = None
+    """See --env."""
+
+    relabelling: tuple[str, ...] | None = None
+    """See --env."""
 
     engine: str | None = None
     """auto, native, mjx or warp (default: what the run was trained on; auto for --random)."""
@@ -66,6 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
+    name_own_code(_named(options))
     prepare_jax()
     outcomes = _evaluate(options)
     for line in _report(outcomes, options.mask):
@@ -89,8 +102,8 @@ def _check(options: EvaluateOptions) -> None:
             raise SettingError(f"{name}: {value} is not within [{low}, {high}]")
     if options.random and (options.directory is not None or options.run is not None):
         raise SettingError("random: goes with --env, not with a directory or a run")
-    if options.random != (options.env is not None):
-        raise SettingError("env: goes with --random, and --random needs it")
+    if options.random and len(options.env or ()) != 1:
+        raise SettingError("env: --random needs one")
     if not options.random and options.directory is None:
         raise SettingError("directory: name one to evaluate its policies, or give --random --env")
     if set(options.mask) - set("xyz") or len(set(options.mask)) < len(options.mask):
@@ -127,10 +140,15 @@ def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
         filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
         engine=options.engine,
     )
-    if options.env is not None:
-        return {"random": evaluate_random(Settings(env=options.env), plan)}
-    assert options.directory is not None
-    return evaluate_directory(RunDirectory.open(options.directory), plan, options.run)
+    named = _named(options)
+    if options.directory is None:
+        return {"random": evaluate_random(Settings(env=named["env"][0]), plan)}
+    directory = RunDirectory.open(options.directory)
+    return evaluate_directory(directory, plan, options.run, directory.moved(named))
+
+
+def _named(options: EvaluateOptions) -> dict[str, list[str]]:
+    return {setting: list(getattr(options, setting) or ()) for setting in NAMES}
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:

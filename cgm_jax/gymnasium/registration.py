@@ -20,8 +20,8 @@ def register_fetch() -> None:
             continue
         gymnasium.register(
             id=identifier,
-            entry_point="cgm_jax.envs.gymnasium_fetch:FetchGymnasium",
-            vector_entry_point="cgm_jax.envs.gymnasium_vector:FetchVector",
+            entry_point="cgm_jax.envs.gymnasium.fetch:FetchGymnasium",
+            vector_entry_point="cgm_jax.envs.gymnasium.vector:FetchVector",
             max_episode_steps=STEPS_PER_EPISODE,
             kwargs=dict(arguments),
         )

@@ -1,4 +1,4 @@
-"""The Fetch tasks as Gymnasium environments, one by one and batched."""
+"""The Fetch tasks as Gymnasium environments, one by one."""
 
 # Gymnasium leaves its spaces and environments untyped.
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
@@ -8,34 +8,22 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-import cgm_jax  # noqa: F401 -- registers the environments
-from cgm_jax.envs.gymnasium_vector import FetchVector
 from cgm_jax.gymnasium import GoalMasking, VectorGoalMasking
+from tests.envs.gymnasium.helpers import (
+    NAMES,
+    assert_same_observations,
+    broken,
+    episode,
+    make,
+    make_vec,
+)
 from tests.envs.surface import can_render
-
-NAMES = ("FetchReach", "FetchPush", "FetchPickAndPlace")
-
-
-def make(name: str, **arguments: Any) -> Any:
-    return gymnasium.make(f"cgm_jax/{name}-v0", **arguments)
-
-
-def make_vec(name: str, num_envs: int, **arguments: Any) -> Any:
-    return gymnasium.make_vec(f"cgm_jax/{name}-v0", num_envs=num_envs, **arguments)
-
-
-def episode(env: Any, seed: int, steps: int = 10) -> list[dict[str, Any]]:
-    """Observations under fixed actions."""
-    generator = np.random.default_rng(5)
-    first, _ = env.reset(seed=seed)
-    actions = generator.uniform(-1, 1, (steps, 4)).astype(np.float32)
-    return [first, *(env.step(action)[0] for action in actions)]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -61,9 +49,7 @@ def test_the_seed_decides_start_and_goal_and_those_of_later_episodes() -> None:
     first, second = episode(one, seed=3), episode(other, seed=3)
     first.append(one.reset()[0])
     second.append(other.reset()[0])
-    for a, b in zip(first, second, strict=True):
-        for name in a:
-            np.testing.assert_array_equal(a[name], b[name])
+    assert_same_observations(first, second)
     assert np.abs(first[-1]["desired_goal"] - first[0]["desired_goal"]).max() > 1e-3
     different = episode(one, seed=4)
     assert np.abs(different[0]["desired_goal"] - first[0]["desired_goal"]).max() > 1e-3
@@ -114,14 +100,6 @@ def test_success_and_reward_at_a_state_made_by_hand() -> None:
         assert inner.compute_truncated(*pair, info) is False
 
 
-def broken(state: Any) -> Any:
-    """The state with a joint at no number."""
-    row = np.array(state.pipeline_state.engine_state).view(np.float64).copy()
-    row[..., 1] = np.nan
-    words = jnp.asarray(row.view(np.uint32))
-    return state.replace(pipeline_state=state.pipeline_state.replace(engine_state=words))
-
-
 def test_an_episode_takes_fifty_steps_or_ends_where_its_physics_breaks() -> None:
     env = make("FetchReach")
     env.reset(seed=0)
@@ -134,57 +112,55 @@ def test_an_episode_takes_fifty_steps_or_ends_where_its_physics_breaks() -> None
     assert info["physics_warnings"] > 0
 
 
-def test_rows_of_the_vector_environment_are_single_environments_also_after_autoreset() -> None:
-    vector = make_vec("FetchPush", num_envs=3, max_episode_steps=7)
-    assert isinstance(vector, FetchVector)
-    singles = [make("FetchPush", max_episode_steps=7) for _ in range(3)]
-    observations, _ = vector.reset(seed=11)
-    ones = [env.reset(seed=11 + i)[0] for i, env in enumerate(singles)]
-    generator = np.random.default_rng(1)
-    goals, ended = [observations["desired_goal"]], False
-    for _ in range(17):
-        for name, rows in observations.items():
-            assert rows.dtype == np.float64
-            np.testing.assert_allclose(rows, [one[name] for one in ones], atol=1e-6)
-        actions = generator.uniform(-1, 1, (3, 4)).astype(np.float32)
-        observations, rewards, terminated, truncated, infos = vector.step(actions)
-        if ended:  # the step that resets: the action is without effect
-            ones = [env.reset()[0] for env in singles]
-            results = [(0.0, False, False, {"is_success": False})] * 3
-            assert not infos["_is_success"].any()
-            goals.append(observations["desired_goal"])
-        else:
-            steps = [env.step(action) for env, action in zip(singles, actions, strict=True)]
-            ones, results = [step[0] for step in steps], [step[1:] for step in steps]
-            assert infos["_is_success"].all()
-        np.testing.assert_array_equal(rewards, [result[0] for result in results])
-        np.testing.assert_array_equal(terminated, [result[1] for result in results])
-        np.testing.assert_array_equal(truncated, [result[2] for result in results])
-        np.testing.assert_array_equal(infos["is_success"], [r[3]["is_success"] for r in results])
-        ended = bool(truncated[0])
-    assert len(goals) == 3
-    assert np.abs(np.diff(goals, axis=0)).max(axis=(1, 2)).min() > 1e-3
+def test_what_follows_from_information_that_is_missing_or_of_many() -> None:
+    env = make("FetchReach").unwrapped
+    pair = np.zeros(3), np.zeros(3)
+    assert env.compute_reward(*pair, None) == 0.0
+    assert env.compute_reward(achieved_goal=pair[0], desired_goal=pair[1] + 1, info=None) == -1.0
+    assert env.compute_terminated(achieved_goal=pair[0], desired_goal=pair[1], info=None) is False
+    assert env.compute_truncated(achieved_goal=pair[0], desired_goal=pair[1], info=None) is False
+    assert env.compute_truncated(*pair, {}) is False
+    assert env.compute_truncated(*pair, {"physics_warnings": 2}) is True
+    many = [{"physics_warnings": 1}, {}, None]
+    assert env.compute_truncated(*pair, many).tolist() == [True, False, False]
+    batched = {"physics_warnings": np.array([0, 3])}
+    assert env.compute_truncated(*pair, batched).tolist() == [False, True]
 
 
-def test_one_row_whose_physics_breaks_is_reset_while_the_others_go_on() -> None:
-    vector = make_vec("FetchReach", num_envs=2)
-    before, _ = vector.reset(seed=0)
-    breaking, sound = broken(vector.state).pipeline_state, vector.state.pipeline_state
-    words = jnp.stack([sound.engine_state[0], breaking.engine_state[1]])
-    vector.state = vector.state.replace(pipeline_state=sound.replace(engine_state=words))
-    actions = np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1))
-    *_, truncated, infos = vector.step(actions)
-    assert truncated.tolist() == [False, True]
-    assert infos["physics_warnings"][0] == 0 < infos["physics_warnings"][1]
-    after, rewards, _, truncated, infos = vector.step(actions)
-    assert truncated.tolist() == [False, False]
-    assert infos["_is_success"].tolist() == [True, False]
-    assert rewards[1] == 0.0
-    np.testing.assert_array_equal(after["desired_goal"][0], before["desired_goal"][0])
-    assert np.abs(after["desired_goal"][1] - before["desired_goal"][1]).max() > 1e-3
-    home = before["achieved_goal"]  # reach starts where it always does
-    assert after["achieved_goal"][0, 0] > home[0, 0] + 0.04
-    np.testing.assert_allclose(after["achieved_goal"][1], home[1], atol=1e-6)
+def test_the_seed_that_was_given_can_be_read_and_the_generator_replaced() -> None:
+    env = make("FetchReach")
+    env.reset(seed=123)
+    env.reset()
+    assert env.np_random_seed == env.unwrapped.np_random_seed == 123
+    inner = make("FetchReach").unwrapped
+    inner.np_random = np.random.default_rng(9)
+    goals = [inner.reset()[0]["desired_goal"] for _ in range(2)]
+    inner.np_random = np.random.default_rng(9)
+    np.testing.assert_array_equal(inner.reset()[0]["desired_goal"], goals[0])
+    assert inner.np_random_seed == -1
+    assert np.abs(goals[0] - goals[1]).max() > 1e-3
+
+
+def test_a_closed_environment_can_be_closed_again_and_used() -> None:
+    env = make("FetchReach")
+    first = episode(env, seed=1, steps=3)
+    env.close()
+    env.close()
+    assert_same_observations(first, episode(env, seed=1, steps=3))
+
+
+def test_order_is_enforced_without_wrappers_too() -> None:
+    inner = make("FetchReach", render_mode="rgb_array").unwrapped
+    for method in (lambda: inner.step(np.zeros(4)), inner.render):
+        with pytest.raises(ResetNeeded, match="call reset before"):
+            method()
+
+
+def test_rendering_without_a_render_mode_warns_and_gives_nothing() -> None:
+    inner = make("FetchReach").unwrapped
+    inner.reset(seed=0)
+    with pytest.warns(UserWarning, match='render_mode="rgb_array"'):
+        assert inner.render() is None
 
 
 @pytest.mark.skipif(not can_render(), reason="this machine has no off-screen rendering")
@@ -208,28 +184,6 @@ def test_pictures_show_what_happens() -> None:
     vector.close()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"render_mode": "human"}, "render_mode: 'human'"),
-        ({"air_probability": 0.5}, "air_probability: the object of push"),
-        ({"colour": 1.0}, "colour: no such field"),
-    ],
-)
-def test_bad_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_vec("FetchPush", num_envs=1, **arguments)
-
-
-def test_seeds_are_one_per_row() -> None:
-    vector = make_vec("FetchReach", num_envs=2)
-    counted, _ = vector.reset(seed=7)
-    listed, _ = vector.reset(seed=[8, 7])
-    np.testing.assert_array_equal(counted["desired_goal"], listed["desired_goal"][::-1])
-    with pytest.raises(ValueError, match="seed: 3 seeds for 2"):
-        vector.reset(seed=[1, 2, 3])
-
-
 def test_goals_can_be_masked_by_the_environments_own_threshold() -> None:
     assert GoalMasking(make("FetchPush")).rule.threshold == 0.05
     many = make_vec("FetchPush", num_envs=2, distance_threshold=0.1)
@@ -237,7 +191,7 @@ def test_goals_can_be_masked_by_the_environments_own_threshold() -> None:
 
 
 def test_the_readmes_example_runs() -> None:
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    readme = (Path(__file__).parents[3] / "README.md").read_text()
     namespace: dict[str, Any] = {}
     exec(readme.split("<!-- gymnasium -->\n```python\n")[1].split("```")[0], namespace)
     assert namespace["observation"]["observation"].shape == (64, 25)
