@@ -146,7 +146,8 @@ def mask_success(rows: Rows) -> Figure:
             label_steps(panel)
         label_success(estimated, "estimated success of masked goal")
         label_success(training, "training success of masked goal")
-        training.legend(title="kept axes", fontsize=8, title_fontsize=8, loc="center right")
+        if training.lines:
+            training.legend(title="kept axes", fontsize=8, title_fontsize=8, loc="center right")
     return figure
 
 
@@ -210,6 +211,9 @@ def _epochs_to_half(rows: Rows) -> tuple[float, float, float]:
 
 
 def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
+    """A line per mask; none where a curriculum has no such rates, or masks are too many."""
+    if rows[0][name] is None:
+        return
     masks = len(rows[0][name])
     size = masks.bit_length() - 1
     colours = plt.get_cmap("turbo")(np.linspace(0.05, 0.95, masks))
