@@ -45,7 +45,7 @@ def drawn_goals(env: GoalEnvironment, first: State) -> Goals:
     return Goals(
         desired=desired,
         mask=jnp.ones_like(desired),
-        threshold=jnp.full(desired.shape[0], env.distance_threshold),
+        threshold=jnp.full(desired.shape[0], env.distance_threshold, desired.dtype),
     )
 
 

@@ -150,7 +150,7 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
         "seed": 1,
     }
     # No effect within this short run: tested elsewhere.
-    later = {"her_filter", "her_masks", "factorised"}
+    later = {"her_filter", "her_masks"}
     instances = [base, base.curriculum, base.agent, base.relabelling]
     fields = [item for instance in instances for item in declared(instance)]
     assert {*changes, *later} == {item.name for item in fields if item.metadata["traced"]}

@@ -39,6 +39,14 @@ def line(panel: Any, label: str) -> np.ndarray:
     return np.array(found.get_xydata())
 
 
+def test_curricula_without_rates_per_mask_leave_their_panels_empty() -> None:
+    without = [{**row, "mask_rate_estimated": None, "mask_rate_training": None} for row in rows()]
+    estimated, training = mask_success(without).axes
+    assert not estimated.lines
+    assert not training.lines
+    assert training.get_legend() is None
+
+
 def test_epochs_to_half_shows_medians_over_seeds_and_the_baseline() -> None:
     (panel,) = epochs_to_half(rows()).axes
     # Unreached runs stand at the last epoch; the median of (3, 3, never) is 3.
