@@ -44,7 +44,7 @@ def _option_type(item: "dataclasses.Field[Any]") -> Any:
     if isinstance(item.default, bool):
         return tuple[Switch, ...] | None
     if item.name == "hidden_layers":
-        return tuple[int, ...] | None
+        return tuple[str, ...] | None
     kind = float if item.default is None else type(item.default)
     return tuple[kind, ...] | None
 
@@ -154,11 +154,29 @@ def chosen_values(options: Any) -> Grid:
         if values is None:
             continue
         if item.name == "hidden_layers":
-            grid[item.name] = [values]  # several widths are one value
+            grid[item.name] = _layers(values)
         else:
             grid[item.name] = [SWITCH.get(value, value) for value in values]
     name_own_code(grid)
     return grid | dict(_own_setting(text) for text in options.set)
+
+
+def _layers(words: Sequence[str]) -> list[tuple[int, ...]]:
+    """Widths of hidden layers: 256 256 is one value, 64x64 128x128 are two.
+
+    Raises:
+        SettingError: a width is no whole number.
+    """
+    try:
+        values = [tuple(int(width) for width in word.split("x")) for word in words]
+    except ValueError:
+        shown = " ".join(words)
+        raise SettingError(
+            f"hidden_layers: {shown!r} is neither widths (256 256) nor several (64x64 128x128)"
+        ) from None
+    if any("x" in word for word in words):
+        return values
+    return [tuple(width for value in values for width in value)]
 
 
 def _own_setting(text: str) -> tuple[str, list[Any]]:
