@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import owns_process, parse, run_program
+from cgm_jax.host.command_line import name_own_code, owns_process, parse, run_program
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.results.plan import Plan
@@ -42,8 +43,19 @@ class EvaluateOptions:
     random: bool = False
     """Take uniformly random actions in --env instead of a directory's policies."""
 
-    env: str | None = None
-    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own."""
+    env: tuple[str, ...] | None = None
+    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own. With a directory:
+    a file that its policies were trained on, if it has moved, was edited, or was never named on
+    this machine; so --curriculum, --agent and --relabelling."""
+
+    curriculum: tuple[str, ...] | None = None
+    """See --env."""
+
+    agent: tuple[str, ...] | None = None
+    """See --env."""
+
+    relabelling: tuple[str, ...] | None = None
+    """See --env."""
 
     engine: str | None = None
     """auto, native, mjx or warp (default: what the run was trained on; auto for --random)."""
@@ -72,6 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
     plan = _plan(options)
+    name_own_code(_named(options))
     with Interruption(
         ends_process=owns_process(), first_words="stopping", last_words="stopped"
     ) as interruption:
@@ -97,8 +110,8 @@ def _check(options: EvaluateOptions) -> None:
         raise SettingError(f"video_episodes: {options.video_episodes} is not within {bounds}")
     if options.random and (options.directory is not None or options.run is not None):
         raise SettingError("random: goes with --env, not with a directory or a run")
-    if options.random != (options.env is not None):
-        raise SettingError("env: goes with --random, and --random needs it")
+    if options.random and len(options.env or ()) != 1:
+        raise SettingError("env: --random needs one")
     if not options.random and options.directory is None:
         raise SettingError("directory: name one to evaluate its policies, or give --random --env")
     if options.video is not None:
@@ -137,14 +150,20 @@ def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
             check_rendering()
         except RenderingError as error:
             raise SettingError(f"video: {error}") from None
+    named = _named(options)
     with CountProgress("episodes") as progress:
         if options.directory is None:
-            settings = Settings(env=options.env or "")
+            settings = Settings(env=named["env"][0])
             return {"random": evaluate_random(settings, plan, progress.show)}
         if (restored := RunDirectory(options.directory).restore_config()) is not None:
             print(restored, file=sys.stderr)
         directory = RunDirectory.open(options.directory)
-        return evaluate_directory(directory, plan, options.run, progress.show)
+        moved = directory.moved(named)
+        return evaluate_directory(directory, plan, options.run, moved, progress.show)
+
+
+def _named(options: EvaluateOptions) -> dict[str, list[str]]:
+    return {setting: list(getattr(options, setting) or ()) for setting in NAMES}
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:

@@ -29,6 +29,9 @@ Field = dataclasses.Field
 ACCEPTED = {str: str, bool: bool, int: Integral, float: Real, tuple: tuple}
 """What counts as a value of a setting, by the type of its default; numpy's numbers do."""
 
+MAX_VALUES = 100
+"""Of a setting that is several numbers."""
+
 DTYPES = {int: np.int32, float: np.float32, bool: np.bool_}
 
 
@@ -115,6 +118,8 @@ def check_value(item: "Field[Any]", value: Any) -> None:
     if kind is tuple:
         if not value:
             raise SettingError(f"{item.name}: needs at least one value")
+        if len(value) > MAX_VALUES:
+            raise SettingError(f"{item.name}: {len(value)} values are more than {MAX_VALUES}")
         if not all(isinstance(width, Integral) and not isinstance(width, bool) for width in value):
             raise SettingError(f"{item.name}: {value!r} holds something else than whole numbers")
     if kind not in (str, bool):

@@ -6,6 +6,7 @@ mask_success.png      estimated against training success per mask (the paper's F
 """
 
 import math
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -25,19 +26,30 @@ QUARTILES = (25, 50, 75)
 
 
 def draw_figures(directory: RunDirectory) -> list[Path]:
-    """Draw all figures of a sweep into its directory; return their paths."""
+    """Draw all figures of a sweep into its directory, each on its own.
+
+    One that cannot be drawn is a line on standard error.
+
+    Returns:
+        Paths of those that were drawn.
+
+    Raises:
+        OSError, ValueError: the metrics cannot be read.
+    """
     rows = directory.metrics()
-    figures = {
-        "learning_curves": learning_curves(rows),
-        "epochs_to_half": epochs_to_half(rows),
-        "mask_success": mask_success(rows),
-    }
+    if not rows:
+        return []
     paths = []
-    for name, figure in figures.items():
-        path = directory.path / "figures" / f"{name}.png"
-        with replacing(path) as file:
-            figure.savefig(file, dpi=130, format="png")
-        paths.append(path)
+    for draw in (learning_curves, epochs_to_half, mask_success):
+        path = directory.path / "figures" / f"{draw.__name__}.png"
+        try:
+            figure = draw(rows)
+            with replacing(path) as file:
+                figure.savefig(file, dpi=130, format="png")
+            paths.append(path)
+        except Exception as error:
+            line = str(error).partition("\n")[0]
+            print(f"{path} is not drawn: {type(error).__name__}: {line}", file=sys.stderr)
     return paths
 
 
@@ -221,6 +233,9 @@ def draw_quartiles(
 ) -> None:
     """Median line and quartile band of curves [runs, epochs], where any run has a value."""
     known = np.isfinite(curves).any(axis=0)
+    if not known.any():
+        panel.plot([], [], style, label=f"{label} (no valid episode)", color=colour)
+        return
     low, median, high = np.nanpercentile(curves[:, known], QUARTILES, axis=0)
     marker = "." if known.sum() < 2 else None
     (line,) = panel.plot(steps[known], median, style, label=label, color=colour, marker=marker)

@@ -1,6 +1,6 @@
 """Success of exported policies, or of random actions, and the episodes behind it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -86,6 +86,7 @@ def evaluate_directory(
     directory: RunDirectory,
     plan: Plan,
     only: str | None = None,
+    moved: Mapping[str, str] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Outcome]:
     """Outcome of every policy in a run directory, by run name.
@@ -96,13 +97,14 @@ def evaluate_directory(
         directory: what a sweep or a training run has written.
         plan: the episodes.
         only: name of the one run to evaluate; None for all.
+        moved: environments that have been named again, see `RunDirectory.moved`.
         progress: is told of every chunk of episodes.
 
     Raises:
-        SettingError: a policy is malformed, there is none, or the plan does not fit the
-            environment.
+        SettingError: a policy is malformed or made for something else, there is none, the plan
+            does not fit the environment, or the user has not named the environment's file.
     """
-    groups = directory.groups()
+    groups = directory.groups(moved)
     if only is not None:
         groups = [
             replace(group, runs=tuple(run for run in group.runs if run.name == only))
@@ -188,11 +190,18 @@ def goal_mask(mask: str, goal_size: int) -> np.ndarray:
 def _evaluate_group(
     env: GoalEnvironment, group: Group, directory: RunDirectory, plan: Plan, progress: Progress
 ) -> dict[str, Outcome]:
+    sizes = _sizes(env)
     try:
-        policies = [load_policy(directory.policy_path(run)) for run in group.runs]
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
+        policies = [load_policy(directory.policy_path(run), *sizes) for run in group.runs]
     except ValueError as error:
         raise SettingError(str(error)) from None
+    shapes = [{name: array.shape for name, array in policy.items()} for policy in policies]
+    for run, shape in zip(group.runs, shapes, strict=True):
+        if shape != shapes[0]:
+            first = directory.policy_path(group.runs[0])
+            path = directory.policy_path(run)
+            raise SettingError(f"{path}: its layers are others than those of {first}")
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
 
     def play(arrays: dict[str, jax.Array], chunk: Chunk, filmed: int) -> Result:
         def policy(observation: jax.Array, goal: jax.Array, _: Exploration | None) -> jax.Array:
@@ -327,5 +336,10 @@ def _first(count: int, tree: Any) -> Any:
 
 
 def _goal_size(env: GoalEnvironment) -> int:
-    first = jax.eval_shape(env.reset, jax.random.key(0))
-    return first.obs["desired_goal"].shape[-1]
+    return _sizes(env)[1]
+
+
+def _sizes(env: GoalEnvironment) -> tuple[int, int, int]:
+    """Sizes of the observation, of the goal and of the action."""
+    obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    return obs["observation"].shape[-1], obs["desired_goal"].shape[-1], env.action_size

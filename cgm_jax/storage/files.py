@@ -27,7 +27,8 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
     """
     partial = path.with_name(path.name + PARTIAL)
     try:
-        with partial.open("wb") as file:
+        partial.unlink(missing_ok=True)  # of a killed process; or a link that leads elsewhere
+        with partial.open("xb") as file:
             yield file
             if durable:
                 file.flush()

@@ -412,7 +412,8 @@ def test_another_sweep_in_the_same_directory_is_refused(
         ("", "config.json is damaged: JSONDecodeError"),
         ("[" * 100_000, "config.json is damaged"),
         ("{}", "config.json is damaged: KeyError: 'groups'"),
-        ('{"groups": [{"settings": {"hidden_layers": 3}}]}', "config.json is damaged: TypeError"),
+        ('{"groups": [{"settings": {"epochs": 3}}]}', "config.json is damaged: KeyError: 'runs'"),
+        ('{"format": 99, "groups": []}', "config.json is damaged: format: 99 is none that this"),
         ('{"groups": []}', "config.json is damaged"),
     ],
 )
@@ -427,7 +428,7 @@ def test_a_config_with_a_value_of_the_wrong_type_is_refused(
     field: str, value: Any, whole: Path, tmp_path: Path
 ) -> None:
     config = json.loads((whole / "config.json").read_text())
-    config["groups"][0]["settings"][field] = value
+    config["groups"][0]["runs"][0][field] = value
     (tmp_path / "config.json").write_text(json.dumps(config))
     with pytest.raises(SettingError, match=f"config.json is damaged: {field}: "):
         sweep.main(["--resume", str(tmp_path)])
@@ -439,7 +440,7 @@ def test_runs_that_diverge_are_named_and_marked_while_the_others_go_on(
     out, grid = tmp_path / "out", ["--kappa", "4", "--critic-learning-rate", "1e-3", "1e30"]
     assert train(out, *grid) == 3
     captured = capsys.readouterr()
-    bad = "point_mass-PointMass_her_cgm-cg0.1-kappa4_criticlearningrate1e+30_seed0"
+    bad = "point_mass-PointMass_ddpg-her_cgm-cg0.1-kappa4_criticlearningrate1e+30_seed0"
     reason = "critic not finite or beyond 1e+09"
     for row in rows(out):
         failed = (1, row["failure"]) if row["run"] == bad else (None, None)
