@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 
 import pytest
 
@@ -13,7 +12,7 @@ from tests.cgm_jax.sweeps import ROOT
 PROGRAM = """
 import hashlib, signal, time
 from cgm_jax.host.interruption import Interruption
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run unattended
+{before}
 with Interruption(patience={patience}, ends_process={ends_process}) as interruption:
     interruption.expendable = {expendable}
     print("ready", flush=True)
@@ -34,11 +33,15 @@ def signalled(
     patience: float = 8.0,
     expendable: bool = False,
     ends_process: bool = True,
-    before: Callable[[], object] | None = None,
+    before: str = "",
 ) -> tuple[int, str, str, float]:
     """Exit code, stdout, stderr, and seconds from the first signal to the end."""
     program = PROGRAM.format(
-        work=work, patience=patience, expendable=expendable, ends_process=ends_process
+        work=work,
+        patience=patience,
+        expendable=expendable,
+        ends_process=ends_process,
+        before=before,
     )
     with subprocess.Popen(
         [sys.executable, "-c", program],
@@ -46,7 +49,6 @@ def signalled(
         stderr=subprocess.PIPE,
         text=True,
         cwd=ROOT,
-        preexec_fn=before,
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -73,9 +75,7 @@ def test_warnings_of_batch_systems_do_not_cut_the_patience() -> None:
 
 
 def test_what_the_starter_ignores_stays_ignored() -> None:  # as nohup does
-    def ignore() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
+    ignore = "signal.signal(signal.SIGHUP, signal.SIG_IGN)"
     code, out, error, _ = signalled("time.sleep(1)", signal.SIGHUP, before=ignore)
     assert (code, out, error) == (0, "saved False\n", "")
 

@@ -3,9 +3,11 @@
 The programs compile once for all tests; processes of their own are in test_resume.py.
 """
 
+import asyncio
 import contextlib
 import dataclasses
 import functools
+import io
 import json
 import os
 import re
@@ -13,6 +15,7 @@ import resource
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -125,6 +128,23 @@ def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
     assert sweep.main(["--resume", str(out)]) == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "checkpoints").iterdir()} == before
     assert_same_results(whole, out)
+
+
+def test_main_trains_in_a_thread_and_inside_a_running_event_loop(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    codes: list[int] = []
+    thread = threading.Thread(target=lambda: codes.append(train(tmp_path / "thread")))
+    thread.start()
+    thread.join()
+
+    async def cell() -> int:  # as a notebook runs one, whose streams have no file
+        monkeypatch.setattr(sys, "stderr", io.StringIO())
+        return train(tmp_path / "notebook")
+
+    assert [*codes, asyncio.run(cell())] == [0, 0]
+    assert_same_results(whole, tmp_path / "thread")
+    assert_same_results(whole, tmp_path / "notebook")
 
 
 def test_one_at_a_time_runs_leave_once_they_hold_the_success_and_stay_away(tmp_path: Path) -> None:
