@@ -96,9 +96,7 @@ TINY = Settings(
     environments=8,
     updates_per_cycle=4,
     batch_size=32,
-    hidden_layers=(16, 16),
     replay_transitions=1000,
     evaluation_episodes=10,
-    target_update_every=1,
 )
 """Static settings that compile in seconds."""
