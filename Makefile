@@ -25,10 +25,17 @@ test: lint
 test-slow: setup
 	$(RUN) -m pytest -m slow $(ARGS)
 
-# Training with Stable-Baselines3 takes PyTorch, which is large and in neither setup nor lock.
-test-sb3: setup
-	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[sb3]"
-	$(RUN) -m pytest tests/envs/test_stable_baselines3.py $(ARGS)
+# Stable-Baselines3 takes PyTorch, which is large, and so has an environment of its own. The networks
+# are small: more threads than one would wait for each other most of the time.
+test-sb3: $(VENV)-sb3/.installed
+	OMP_NUM_THREADS=1 $(VENV)-sb3/bin/python -m pytest tests/envs/test_stable_baselines3.py \
+	    tests/cgm_jax/gymnasium/test_stable_baselines3.py $(ARGS)
+
+$(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
+	$(PYTHON) -m venv $(VENV)-sb3
+	$(VENV)-sb3/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
+	touch $@
 
 lint: setup
 	$(RUN) -m ruff check .
@@ -40,9 +47,9 @@ bench: setup
 
 # Trained policies in Gymnasium-Robotics, whose MuJoCo is older and so has an environment of its own.
 transfer: setup $(VENV)-transfer/.installed
-	$(RUN) experiments/transfer.py $(ARGS)
+	$(RUN) -m experiments.physics.transfer $(ARGS)
 
-$(VENV)-transfer/.installed: experiments/transfer-requirements.txt
+$(VENV)-transfer/.installed: experiments/physics/transfer-requirements.txt
 	$(PYTHON) -m venv $(VENV)-transfer
 	$(VENV)-transfer/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	touch $@
@@ -56,4 +63,4 @@ lock:
 	rm -rf $(VENV)-lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-transfer .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-transfer .pytest_cache .ruff_cache

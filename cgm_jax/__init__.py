@@ -4,8 +4,8 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
 `.benchmark`. Behind them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
-    curricula/   what to practise: the mask sampler of Eppe, Magg and Wermter (2019)
-    agents/      who learns, and what the networks see
+    curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
+    agents/      who learns: DDPG, ...
     replay/      what is replayed: the ring of episodes, hindsight
     loop/        what turns: rollout, cycle, epoch, evaluation, as pure functions over one state
     envs/        what is acted in: the Fetch tasks (in a checkout a link to the folder `envs`)
@@ -13,12 +13,14 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
     results/     what is made of runs: figures, measured policies, videos
+    measuring/   how fast it is: what the benchmark measures
+    gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 
 The loop knows environments only through `envs.GoalEnvironment`. Importing the package registers
-the Fetch tasks with Gymnasium (gymnasium_names.py).
+the Fetch tasks with Gymnasium (gymnasium/registration.py).
 """
 
-from cgm_jax.gymnasium_names import register_fetch as _register_fetch
+from cgm_jax.gymnasium.registration import register_fetch as _register_fetch
 
 _register_fetch()
 

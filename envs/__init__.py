@@ -8,7 +8,7 @@ mocap_controller.py  from an action to the pose that drags the arm (inverse kine
 observations.py      from sensor readings to the Gymnasium-Robotics observation
 scene.py             the MJCF model, its names resolved to indices once
 rendering.py         pictures of a scene and its (masked) goal, without a display
-gymnasium_fetch.py   the same tasks for Gymnasium; gymnasium_vector.py batched
+gymnasium/           the same tasks for Gymnasium, one by one and batched
 physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """
 

@@ -80,7 +80,12 @@ class FetchEnvironment(Env):
         """Start an episode with the object at `object_xy` [2] and this goal [3], in metres.
 
         Without an object `object_xy` has no effect.
+
+        Raises:
+            ValueError: another shape.
         """
+        _check_shape("object_xy", object_xy, 2)
+        _check_shape("desired_goal", desired_goal, 3)
         positions = jnp.asarray(self.scene.home, jnp.float32)
         if self.scene.object_address is not None:
             here = slice(self.scene.object_address, self.scene.object_address + 2)
@@ -88,7 +93,12 @@ class FetchEnvironment(Env):
         return self._state(self.physics.start(positions), jnp.asarray(desired_goal, jnp.float32))
 
     def step(self, state: State, action: jax.Array) -> State:
-        """Advance by one control step of 0.04 s with `action` [4] in [-1, 1]."""
+        """Advance by one control step of 0.04 s with `action` [4] in [-1, 1].
+
+        Raises:
+            ValueError: an action of another shape.
+        """
+        _check_shape("action", action, self.action_size)
         physics_state: PhysicsState = state.pipeline_state  # pyright: ignore[reportAssignmentType]
         gripper = self._gripper(physics_state)
         target = control_target(action, gripper, pose_lag=self.task.pose_lag)
@@ -152,3 +162,9 @@ class FetchEnvironment(Env):
 
     def _reading(self, physics_state: PhysicsState, sensor: str) -> jax.Array:
         return physics_state.sensors[self.scene.sensors[sensor]]
+
+
+def _check_shape(name: str, array: jax.Array, size: int) -> None:
+    # JAX clamps an index that is out of range, so that three entries would pass for four.
+    if jnp.shape(array) != (size,):
+        raise ValueError(f"{name}: shape {jnp.shape(array)} is not {(size,)}")

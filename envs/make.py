@@ -1,11 +1,14 @@
 """From a name to an environment."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.physics.choose import ENGINES, start_engine
-from cgm_jax.envs.scene import load_scene
+from cgm_jax.envs.physics.deferred import DeferredPhysics
+from cgm_jax.envs.physics.protocol import Physics
+from cgm_jax.envs.scene import Scene, load_scene
 from cgm_jax.envs.tasks import TASKS
 
 __all__ = ["ENGINES", "TASKS", "make"]
@@ -23,6 +26,20 @@ def make(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
     Raises:
         ValueError: unknown name, engine or field, or an engine that is not installed.
     """
+    return _make(name, fields, lambda scene: start_engine(engine, scene))
+
+
+def make_deferred(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
+    """As `make`, but the engine, and with it JAX, starts at its first use.
+
+    What the engine finds wrong with JAX's device is said there.
+    """
+    return _make(name, fields, lambda scene: DeferredPhysics(engine, scene))
+
+
+def _make(
+    name: str, fields: dict[str, Any], physics: Callable[[Scene], Physics]
+) -> FetchEnvironment:
     if name not in TASKS:
         raise ValueError(f"env: unknown environment {name!r}; choose from {', '.join(TASKS)}")
     task = TASKS[name]
@@ -33,5 +50,5 @@ def make(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
     if fields.get("air_probability", 0.0) > 0.0 and (task.fingers_blocked or not task.has_object):
         raise ValueError(f"air_probability: the object of {name} cannot be lifted into the air")
     scene = load_scene(task)
-    fields.setdefault("air_probability", task.air_probability)
-    return FetchEnvironment(task, scene, start_engine(engine, scene), **fields)
+    fields = {"air_probability": task.air_probability, **fields}
+    return FetchEnvironment(task, scene, physics(scene), **fields)

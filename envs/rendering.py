@@ -11,6 +11,7 @@ Fig. 1). Red means not achieved, green achieved.
 # pyright: reportAttributeAccessIssue=false
 
 import atexit
+import numbers
 import os
 import platform
 import weakref
@@ -118,14 +119,8 @@ class Renderer:
             ValueError: a picture of no size, or larger than the model's off-screen buffer.
             RenderingError: this machine cannot render.
         """
+        check_size(scene, width, height)
         model = scene.model
-        limits = model.vis.global_
-        for name, size, limit in (
-            ("width", width, limits.offwidth),
-            ("height", height, limits.offheight),
-        ):
-            if not 1 <= size <= limit:
-                raise ValueError(f"{name}: {size} is not within [1, {limit}]")
         self._model, self._data = model, mujoco.MjData(model)
         self._goal_radius = goal_radius
         table = model.geom("table")
@@ -217,6 +212,24 @@ class Renderer:
         )
         geom.emission = 0.3
         self._picture.ngeom += 1
+
+
+def check_size(scene: Scene, width: int, height: int) -> None:
+    """Check the size of a picture without opening anything.
+
+    Raises:
+        TypeError: a size is no integer.
+        ValueError: a picture of no size, or larger than the model's off-screen buffer.
+    """
+    limits = scene.model.vis.global_
+    for name, size, limit in (
+        ("width", width, limits.offwidth),
+        ("height", height, limits.offheight),
+    ):
+        if not isinstance(size, numbers.Integral):
+            raise TypeError(f"{name}: {size!r} is no integer")
+        if not 1 <= size <= limit:
+            raise ValueError(f"{name}: {size} is not within [1, {limit}]")
 
 
 def check_rendering() -> None:

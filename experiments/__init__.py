@@ -1,1 +1,11 @@
-"""The experiments: results, the programs that make them again, and the report."""
+"""The experiments: results, the programs that reproduce them, and the report (README.md).
+
+The listing:
+
+    run.py        trains, draws and tabulates the questions of plans.toml
+    report.py     the tables and numbers of README.md, from records
+    learning/     questions of learning
+    physics/      questions of physics
+    results/      records of what was trained and measured; figures and tables made from them
+    table.py      CSV files; markdown.py the same for readers
+"""

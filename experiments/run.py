@@ -1,74 +1,92 @@
 """Answer questions of the report: `python -m experiments.run QUESTION [QUESTION ...]`.
 
-Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP, where each goes on from where
-it stopped. What is done is then recorded in results/sweeps/SWEEP, and from those records come
-tables and figures in results/QUESTION. `--draw` trains nothing and draws from what is on record.
+Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP (`--runs`), where each resumes
+from where it stopped. What is done is then recorded in results/sweeps/SWEEP. From those records
+come tables and figures in results/QUESTION, and the tables and numbers of README.md.
+
+`--train` trains and leaves the records as they are, so that a checkout stays at its commit;
+`--draw` trains nothing, records what is done and draws; `--report` only brings README.md up to
+date, and takes no question. `--only` trains, or records, some of the questions' sweeps.
 """
 
 import argparse
-import shlex
 import sys
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from cgm_jax.config.grid import Group, Run, build_groups
-from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import chosen_values, parse, seed_values
 from cgm_jax.results.figures import epochs_to_half, learning_curves, mask_success
 from cgm_jax.storage.run_directory import RunDirectory
-from cgm_jax.sweep import SweepOptions
-from experiments.comparison import comparison
-from experiments.records import record, recorded_groups, recorded_rows
-from experiments.tables import improvement, learning_speed, write_table
-from experiments.train import train
+from experiments.learning.comparison import comparison
+from experiments.learning.overview import overview
+from experiments.learning.paired import comparisons
+from experiments.learning.plans import (
+    Plans,
+    Question,
+    Settings,
+    options_of,
+    planned_settings,
+    read_plans,
+)
+from experiments.learning.records import (
+    RecordedRun,
+    Row,
+    record,
+    recorded_runs,
+    recorded_settings,
+    same_runs,
+)
+from experiments.learning.tables import Runs, learning_speed, metrics_of
+from experiments.learning.train import train
+from experiments.report import README, regenerated
+from experiments.table import write_table
 
-HERE = Path(__file__).parent
-PLANS = HERE / "plans.toml"
 RUNS = Path("runs") / "experiments"
-RESULTS = HERE / "results"
-FIGURES = {
+RESULTS = Path(__file__).parent / "results"
+FIGURES: dict[str, Callable[[Runs], Figure]] = {
     "comparison": comparison,
-    "learning_curves": learning_curves,
-    "epochs_to_half": epochs_to_half,
-    "mask_success": mask_success,
+    "overview": overview,
+    "learning_curves": lambda runs: learning_curves(metrics_of(runs)),
+    "epochs_to_half": lambda runs: epochs_to_half(metrics_of(runs)),
+    "mask_success": lambda runs: mask_success(metrics_of(runs)),
 }
 
 
-def planned_groups(options: str) -> list[Group]:
-    """The runs that a sweep's options stand for."""
-    parsed = parse(SweepOptions, shlex.split(options), "python -m cgm_jax.sweep")
-    return build_groups(parsed.preset or "quick", seed_values(parsed, chosen_values(parsed)))
+def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
+    """A sweep's runs that are on record.
+
+    Raises:
+        ValueError: on record are other runs than are planned now.
+    """
+    recorded = [settings for _, settings in recorded_settings(sweep)]
+    if recorded and not same_runs(recorded, planned_settings(planned)):
+        raise ValueError(f"{sweep}: on record are other runs than are planned; train it again")
+    return recorded_runs(sweep)
 
 
-def planned_rows(sweep: str, options: str) -> list[dict[str, Any]]:
-    """Rows of a sweep's runs that are on record."""
-    recorded = recorded_groups(sweep)
-    if recorded and _runs_of(recorded) != _runs_of(planned_groups(options)):
-        sys.exit(f"{sweep}: on record are other runs than are planned now; train it again")
-    return recorded_rows(sweep)
+def tables_of(runs: Runs) -> dict[str, list[Row]]:
+    """The tables of a question, by the name of their file; those without rows are left out."""
+    tables = {"speed.csv": learning_speed(runs), "paired.csv": comparisons(runs)}
+    return {name: rows for name, rows in tables.items() if rows}
 
 
-def _runs_of(groups: list[Group]) -> list[tuple[Settings, Run]]:
-    """The same however groups are split."""
-    return [(group.settings, run) for group in groups for run in group.runs]
+def write_results(name: str, question: Question, plans: Plans) -> Path:
+    """Write figures and tables of a question.
 
-
-def write_results(question: str, plan: dict[str, Any], sweeps: dict[str, str]) -> Path:
-    """Write everything that the report shows for a question; `sweeps` are all sweeps' options."""
-    rows = [row for sweep in plan["sweeps"] for row in planned_rows(sweep, sweeps[sweep])]
-    if not rows:
-        sys.exit(f"{question}: nothing trained yet")
-    target = RESULTS / question
+    Raises:
+        ValueError: nothing is on record, or other runs than planned.
+    """
+    runs = [run for sweep in question.sweeps for run in runs_on_record(sweep, plans.sweeps[sweep])]
+    if not runs:
+        raise ValueError(f"{name}: nothing is on record yet")
+    target = RESULTS / name
     target.mkdir(parents=True, exist_ok=True)
-    write_table(target / "speed.csv", learning_speed(rows))
-    if table := improvement(rows):
-        write_table(target / "improvement.csv", table)
-    for name in plan["figures"]:
-        _save(FIGURES[name](rows), target / f"{name}.png")
+    for file, rows in tables_of(runs).items():
+        write_table(target / file, rows)
+    for figure in question.figures:
+        _save(FIGURES[figure](runs), target / f"{figure}.png")
     return target
 
 
@@ -79,10 +97,23 @@ def _save(figure: Figure, path: Path) -> None:
 
 def main() -> None:
     """Train and draw the questions named on the command line."""
-    plans = tomllib.loads(PLANS.read_text())
+    plans = read_plans()
     parser = argparse.ArgumentParser(prog="python -m experiments.run")
-    parser.add_argument("questions", nargs="+", choices=list(plans["questions"]))
-    parser.add_argument("--draw", action="store_true", help="train nothing, draw from the records")
+    parser.add_argument("questions", nargs="*", metavar="QUESTION", help=", ".join(plans.questions))
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--train", action="store_true", help="only train, and record nothing")
+    mode.add_argument("--draw", action="store_true", help="train nothing, draw from the records")
+    mode.add_argument("--report", action="store_true", help="only bring README.md up to date")
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="SWEEP", help="of the questions' sweeps only these"
+    )
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        default=RUNS,
+        metavar="DIR",
+        help=f"where sweeps are trained, each in its own directory (default: {RUNS})",
+    )
     parser.add_argument(
         "--at-once",
         type=int,
@@ -91,17 +122,31 @@ def main() -> None:
         help="train N sweeps at a time, each on its share of the cores",
     )
     options = parser.parse_args()
+    if unknown := [name for name in options.questions if name not in plans.questions]:
+        parser.error(f"there is no question {unknown[0]!r}; there are {', '.join(plans.questions)}")
+    if bool(options.questions) == options.report:
+        parser.error("name questions to answer, or give --report alone")
     if options.at_once < 1:
         parser.error(f"--at-once: {options.at_once} is not at least 1")
-    chosen = [plans["questions"][question] for question in options.questions]
-    sweeps = {name: plans["sweeps"][name] for plan in chosen for name in plan["sweeps"]}
-    if not options.draw:
-        train(sweeps, RUNS, options.at_once)
+    sweeps = [sweep for name in options.questions for sweep in plans.questions[name].sweeps]
+    if unknown := [name for name in options.only if name not in sweeps]:
+        parser.error(f"--only: {unknown[0]!r} is no sweep of theirs; there are {', '.join(sweeps)}")
+    sweeps = list(dict.fromkeys(options.only or sweeps))
+    if not (options.draw or options.report):
+        asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps}
+        train(asked_for, options.runs, options.at_once)
+    if options.train:
+        return
     for sweep in sweeps:
-        if RunDirectory(RUNS / sweep).holds_sweep():
-            record(RunDirectory(RUNS / sweep), sweep)
-    for question in options.questions:
-        print(write_results(question, plans["questions"][question], plans["sweeps"]))
+        trained = RunDirectory(options.runs / sweep)
+        if trained.holds_sweep():
+            record(trained, sweep)
+    try:
+        for name in options.questions:
+            print(write_results(name, plans.questions[name], plans))
+        README.write_text(regenerated(README.read_text()))
+    except ValueError as error:
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,10 @@
-"""Who learns, and what the networks see.
+"""Who learns.
 
-ddpg.py        actor and critic updates; networks.py their shape
-normaliser.py  running mean and standard deviation of observations and goals
-policy.py      trained policies as plain arrays
+protocol.py   what an agent offers to the loop
+ddpg.py       deep deterministic policy gradient: the paper's agent
+td3.py        twin delayed DDPG
+sac.py        soft actor-critic with an automatic temperature
+networks.py   shapes of actors and critics; gradients.py steps, target networks, rounds of updates
+
+Every file with a class derived from `Agent` is a value of `--agent`.
 """

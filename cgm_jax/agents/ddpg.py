@@ -32,7 +32,7 @@ from cgm_jax.agents.networks import (
 )
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, static, traced
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 
 
 class DDPGState(struct.PyTreeNode):

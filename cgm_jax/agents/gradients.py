@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 
 Parameters = Any
 State = TypeVar("State")

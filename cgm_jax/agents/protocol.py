@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import jax
 from flax import struct
 
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 
 State = TypeVar("State")
 Parameters = Any

@@ -1,6 +1,8 @@
-"""What is asked for. Imports no other room, and no JAX, so that bad input is refused at once.
+"""What is asked for.
 
-settings.py  every setting: its default, its range, its help
-presets.py   smoke, quick, cpu, paper
-grid.py      from lists of values to runs, and from runs to groups that train side by side
+fields.py      how a setting is declared and checked
+settings.py    the loop's own settings; sizes.py what components may know of them
+components.py  curricula, agents and ways to relabel by name; named.py from the user's own files
+presets.py     smoke, quick, cpu, paper
+grid.py        from lists of values to runs, and from runs to groups that train side by side
 """

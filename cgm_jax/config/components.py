@@ -43,6 +43,8 @@ def component(kind: str, name: str) -> type:
     Raises:
         SettingError: there is none, or a file's class does not declare settings.
     """
+    if not isinstance(name, str):
+        raise SettingError(f"{kind}: {name!r} is not a name")
     if not is_own(name):
         if name not in builtin(kind):
             choices = ", ".join(sorted(builtin(kind)))

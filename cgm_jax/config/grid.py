@@ -16,7 +16,7 @@ from typing import Any
 import jax
 
 from cgm_jax.config.components import ROOMS, component
-from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts
+from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
 from cgm_jax.config.named import absolute
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
@@ -55,6 +55,10 @@ class Group:
 
     settings: Settings
     runs: tuple[Run, ...]
+
+    def hyper(self) -> Hyperparameters:
+        """Settings of all runs, every leaf [runs]."""
+        return stack([run.hyper for run in self.runs])
 
 
 def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Group]:
@@ -204,7 +208,7 @@ def _axis(grid: Grid, item: "Field[Any]") -> Sequence[Any]:
     values = _several(item.name, grid.get(item.name, [item.default]))
     for value in values:
         check_value(item, value)
-    return values
+    return _distinct(item.name, values)
 
 
 def _names(grid: Grid, kind: str) -> Sequence[str]:
@@ -216,12 +220,16 @@ def _names(grid: Grid, kind: str) -> Sequence[str]:
     names = _several(kind, grid.get(kind, [DEFAULTS[kind]]))
     for name in names:
         component(kind, name)
-    return names
+    return _distinct(kind, names)
 
 
 def _several(name: str, values: Any) -> Sequence[Any]:
     if not isinstance(values, list | tuple) or not values:
         raise SettingError(f"{name}: needs at least one value")
+    return values
+
+
+def _distinct(name: str, values: Sequence[Any]) -> Sequence[Any]:
     if len(set(values)) < len(values):
         raise SettingError(f"{name}: holds a value twice")
     return values

@@ -20,7 +20,7 @@ _CPU: Grid = {
 
 # With HER, hindsight only where something moved, and the creeping target actor as the steadier
 # policy. Networks are narrow and the actor learns every second time: that saves more time than it
-# costs learning (experiments/README.md has the figures).
+# seemed to cost learning in trials (experiments/results/cpu_settings/tried.csv).
 _CPU_WITH_HER: Grid = {
     **_CPU,
     "hidden_layers": [(128, 128, 128)],

@@ -16,6 +16,7 @@ from flax import struct
 from jax.typing import ArrayLike
 
 from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.history import (
     SuccessHistory,
     empty_history,
@@ -30,7 +31,6 @@ from cgm_jax.curricula.masks import (
     sample_masks,
 )
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
-from cgm_jax.envs.goals import Sizes
 
 
 class CGMState(struct.PyTreeNode):

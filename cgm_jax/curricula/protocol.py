@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 
 State = TypeVar("State")
 

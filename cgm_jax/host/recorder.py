@@ -9,12 +9,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.agents.policy import policy_arrays
 from cgm_jax.config.grid import Group, Run
 from cgm_jax.host.checkpoint import Standing, save_checkpoint
 from cgm_jax.loop.divergence import describe_failure
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.state import TrainingState
+from cgm_jax.storage.policies import policy_arrays
 from cgm_jax.storage.run_directory import RunDirectory, metrics_line
 
 

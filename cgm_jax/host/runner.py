@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.config.fields import SettingError, stack
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, split, structure
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import Standing, load_checkpoint
@@ -36,11 +36,6 @@ class Job:
     group: Group
     programs: Programs
 
-    @property
-    def hyper(self) -> Hyperparameters:
-        """Settings of all runs, every leaf [runs]."""
-        return stack([run.hyper for run in self.group.runs])
-
 
 def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[Job], list[str]]:
     """Build what groups need, split those that do not fit into memory, and say what they take.
@@ -60,20 +55,20 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
             would overflow.
     """
     jobs, notes = [], []
-    trainers: dict[Settings, Trainer] = {}
+    made: dict[Settings, Programs] = {}
     for _, same in itertools.groupby(groups, key=_program):
         parts = list(same)
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
-        if settings not in trainers:
-            trainers[settings] = make_trainer(make_environment(settings), settings)
-        trainer = trainers[settings]
+        if settings not in made:
+            made[settings] = make_programs(make_trainer(make_environment(settings), settings))
+        programs = made[settings]
+        trainer = programs.trainer
         _check_counters(trainer)
         estimate = estimate_memory(trainer, runs[0].hyper)
         if not planned:
             (whole,) = parts
             fitting = runs_that_fit(estimate, len(runs))
             parts = split(whole, min(fitting, settings.side_by_side))
-        programs = make_programs(trainer)
         jobs += [Job(part, programs) for part in parts]
         largest = max(len(part.runs) for part in parts)
         note = f"{settings.env}: {len(runs)} runs"
@@ -144,7 +139,7 @@ def run_jobs(
 
 def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
     """Where a job's last checkpoint stands, or its beginning."""
-    hyper = job.hyper
+    hyper = job.group.hyper()
     like = jax.eval_shape(job.programs.start, hyper)
     standing, notes = load_checkpoint(directory.path / "checkpoints", index, like)
     where = f"after epoch {standing.epoch}" if standing else "from the beginning"
@@ -164,7 +159,7 @@ def _train(
     interruption: Interruption,
 ) -> bool:
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
-    settings, programs, hyper = job.group.settings, job.programs, job.hyper
+    settings, programs, hyper = job.group.settings, job.programs, job.group.hyper()
     began, pace = time.monotonic() - standing.wall_s, Pace()
     with watchdog() as something_happened:
         while not _is_finished(job.group, standing):

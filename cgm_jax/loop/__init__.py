@@ -1,8 +1,13 @@
 """What turns: training as pure functions over one state, jitted and vmapped over runs.
 
-state.py        everything that training carries from step to step
-environment.py  the environment that a setting names
+training.py     `make_trainer`, and the compiled programs: start here
+cycle.py        choose goals, roll out, store, learn
 rollout.py      episodes of many environments in one scan; exploration.py action noise
-training.py     a cycle, an epoch, evaluation
-programs.py     the compiled programs; divergence.py freezes a run that diverges
+learning.py     minibatches and updates; divergence.py freezes a run that diverges
+evaluation.py   the end of an epoch: noise-free episodes, and the epoch's metrics
+
+setup.py        the environment and static settings, and the state before any training
+state.py        everything that training carries from step to step
+inputs.py       what the networks see; normaliser.py its running mean and standard deviation
+environment.py  the environment that a setting names
 """

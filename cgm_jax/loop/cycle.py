@@ -3,13 +3,13 @@
 import jax
 import jax.numpy as jnp
 
-from cgm_jax.agents.normaliser import observe
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.curricula.masks import mask_indices
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.learning import learn
+from cgm_jax.loop.normaliser import observe
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup
 from cgm_jax.loop.state import EpochStatistics, TrainingState

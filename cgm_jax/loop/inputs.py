@@ -9,8 +9,8 @@ which serves that, needs none of it.
 import jax
 import jax.numpy as jnp
 
-from cgm_jax.agents.normaliser import Normaliser, network_input
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.normaliser import Normaliser, network_input
 from cgm_jax.loop.setup import Setup
 
 

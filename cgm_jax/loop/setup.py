@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cgm_jax.agents.normaliser import initial_normaliser
 from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.loop.normaliser import initial_normaliser
 from cgm_jax.loop.state import TrainingState, empty_statistics
 from cgm_jax.replay.ring import empty_replay
 

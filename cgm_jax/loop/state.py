@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cgm_jax.agents.normaliser import Normaliser
+from cgm_jax.loop.normaliser import Normaliser
 from cgm_jax.replay.ring import Replay
 
 

@@ -1,7 +1,7 @@
 """Figures of a sweep, drawn from its metrics.jsonl alone.
 
 learning_curves.png   success rate over env_steps, median and quartiles over seeds
-epochs_to_half.png    epochs to 50 % success over c_g, one line per kappa (the paper's Fig. 3)
+epochs_to_half.png    epochs until 50 % is held over c_g, one line per kappa (the paper's Fig. 3)
 mask_success.png      estimated against training success per mask (the paper's Fig. 5)
 """
 
@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from cgm_jax.results.statistics import first_to_reach, quartiles
+from cgm_jax.results.statistics import first_to_hold, quartiles
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -80,8 +80,9 @@ def learning_curves(rows: Rows) -> Figure:
 def epochs_to_half(rows: Rows) -> Figure:
     """Epochs to 50 % success over c_g, a panel per environment and HER, a line per kappa.
 
-    Medians over runs, and quartiles as dashed lines. Where a median run never gets there, its
-    point is open and stands at the last epoch.
+    A run is there once the mean of three evaluations holds 50 %. Medians over runs, and quartiles
+    as dashed lines. Where a median run never gets there, its point is open and stands at the last
+    epoch.
     """
     masked = [row for row in rows if row["cgm"]] or rows
     groups = _grouped(masked, lambda row: (row["env"], row["her"]))
@@ -168,7 +169,7 @@ def _mark_last_epoch(panel: Axes, last: int) -> None:
 
 
 def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> bool:
-    """One line: quartiles over runs, at each c_g, of the epoch that first reaches 50 %.
+    """One line: quartiles over runs, at each c_g, of the epoch that first holds 50 %.
 
     Returns:
         Whether all medians reach it.
@@ -191,8 +192,8 @@ def _draw_epochs_over_rate(panel: Axes, kappa: float, rows: Rows, last: int) -> 
 
 
 def _epochs_to_half(rows: Rows) -> tuple[float, float, float]:
-    """Quartiles over runs of the first epoch at 50 %; infinite where it was not reached."""
-    reached = [first_to_reach(run, 0.5) for run in _grouped(rows, lambda r: r["run"]).values()]
+    """Quartiles over runs of the first epoch that holds 50 %; infinite where none does."""
+    reached = [first_to_hold(run, 0.5) for run in _grouped(rows, lambda r: r["run"]).values()]
     return quartiles([row["epoch"] if row else math.inf for row in reached])
 
 

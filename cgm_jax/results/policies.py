@@ -9,18 +9,18 @@ import numpy as np
 from brax.envs.base import State
 from flax import struct
 
-from cgm_jax.agents.policy import act, load_policy
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.curricula.goals import is_achieved
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
-from cgm_jax.envs.goals import is_achieved
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.replay.ring import Episodes
+from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
 
 AXES = "xyz"

@@ -7,22 +7,38 @@ from typing import Any
 HOLDING_EVALUATIONS = 3
 """A run holds a success if the mean of so many evaluations in a row does."""
 
+ROUNDING = 1e-9
+"""Success rates are shares of whole episodes; their sums must not miss a level by rounding."""
+
 
 def holds(rates: Sequence[float | None], level: float) -> bool:
     """Whether the last evaluations of one run, taken together, reach `level`."""
     last = [rate or 0.0 for rate in rates[-HOLDING_EVALUATIONS:]]
-    return len(last) == HOLDING_EVALUATIONS and sum(last) / len(last) >= level
+    return len(last) == HOLDING_EVALUATIONS and sum(last) / len(last) >= level - ROUNDING
+
+
+def first_to_hold(rows: Sequence[dict[str, Any]], level: float) -> dict[str, Any] | None:
+    """The first metrics row of one run at which it holds `level`: the last of three evaluations."""
+    rates = [row["success_rate"] for row in rows]
+    return next((row for i, row in enumerate(rows) if holds(rates[: i + 1], level)), None)
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """Lower quartile, median and upper quartile of when runs got somewhere.
+    """Lower quartile, median and upper quartile, interpolated linearly between values.
 
-    Each is one of the values, between two of them the later, so that one between a run that
-    arrived and one that never did (infinity) never did.
+    A value of infinity is a run that never arrived. Whatever would be interpolated towards one is
+    infinite: of two runs of which one arrived, the median never did.
     """
-    ordered, last = sorted(values), len(values) - 1
-    low, median, high = (ordered[math.ceil(share * last)] for share in (0.25, 0.5, 0.75))
-    return low, median, high
+    ordered = sorted(values)
+
+    def at(share: float) -> float:
+        place = share * (len(ordered) - 1)
+        below, above = ordered[math.floor(place)], ordered[math.ceil(place)]
+        if below == above or math.isinf(above):
+            return above
+        return below + (place % 1) * (above - below)
+
+    return at(0.25), at(0.5), at(0.75)
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
@@ -38,8 +54,3 @@ def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float
     spread = math.sqrt(rate * (1 - rate) / trials + (z / (2 * trials)) ** 2)
     spread *= z / (1 + z * z / trials)
     return max(0.0, centre - spread), min(1.0, centre + spread)
-
-
-def first_to_reach(rows: Sequence[dict[str, Any]], level: float) -> dict[str, Any] | None:
-    """The first metrics row of one run whose success rate is at least `level`."""
-    return next((row for row in rows if (row["success_rate"] or 0.0) >= level), None)

@@ -1,6 +1,8 @@
 """What lies on the disk.
 
 run_directory.py  config.json, metrics.jsonl, policies; lock.py one sweep per directory
+formats.py        older formats of config.json
+policies.py       trained policies as plain arrays
 arrays.py         files of named arrays, read as untrusted input
 files.py          files that are whole or not there
 """

@@ -8,17 +8,25 @@ from cgm_jax.envs.scene import Scene
 ENGINES = ("auto", "native", "mjx", "warp")
 
 
-def choose_engine(name: str) -> str:
-    """Resolve "auto" by platform: native on a CPU; on a GPU warp where installed, else mjx.
+def check_engine(name: str) -> None:
+    """Check an engine's name without starting anything.
 
     Raises:
         ValueError: the name is unknown, or the engine is not installed.
     """
     if name not in ENGINES:
         raise ValueError(f"engine: unknown engine {name!r}; choose from {', '.join(ENGINES)}")
-    has_warp = importlib.util.find_spec("warp") is not None
-    if name == "warp" and not has_warp:
+    if name == "warp" and not has_warp():
         raise ValueError("engine: warp needs the package warp-lang, which is not installed")
+
+
+def choose_engine(name: str) -> str:
+    """Resolve "auto" by platform: native on a CPU; on a GPU warp where installed, else mjx.
+
+    Raises:
+        ValueError: as `check_engine`.
+    """
+    check_engine(name)
     if name != "auto":
         return name
 
@@ -27,7 +35,12 @@ def choose_engine(name: str) -> str:
     platform = jax.default_backend()
     if platform == "cpu":
         return "native"
-    return "warp" if has_warp and platform == "gpu" else "mjx"
+    return "warp" if has_warp() and platform == "gpu" else "mjx"
+
+
+def has_warp() -> bool:
+    """Whether the package warp-lang is installed."""
+    return importlib.util.find_spec("warp") is not None
 
 
 def start_engine(name: str, scene: Scene) -> Physics:

@@ -81,6 +81,13 @@ class MjxPhysics:
         motion: Motion = state.engine_state
         return np.asarray(motion.positions)
 
+    def copy_to_mujoco(self, state: PhysicsState, data: mujoco.MjData) -> None:
+        """Put one concrete state into MuJoCo's own data: positions and velocities."""
+        motion: Motion = state.engine_state
+        data.qpos[:] = np.asarray(motion.positions)
+        data.qvel[:] = np.asarray(motion.velocities)
+        data.qacc_warmstart[:] = np.asarray(motion.acceleration_guess)
+
     def _step(self, data: mjx.Data) -> mjx.Data:
         """One substep: `mjx.step`, without sensors and with the weld's missing term."""
         if self._model.impl == mjx.Impl.WARP:

@@ -30,6 +30,7 @@ from cgm_jax.envs.scene import Scene
 
 WORDS_PER_FLOAT64 = 2
 TIME_SIZE = 1  # a state row starts with the time; the positions follow
+STATE_ROW = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)  # what a state row holds
 COUNT = 1  # Batch.warning holds, per simulation and kind, what it was last about, and a count
 # Current positions and velocities suffice for every sensor, and accelerations would cost a
 # constraint solve.
@@ -51,8 +52,7 @@ class NativePhysics:
         self._batches: dict[int, Batch] = {}
         # XLA may run two programs at once, and a Batch serves one caller at a time.
         self._lock = threading.Lock()
-        integration_state = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
-        self._row_words = WORDS_PER_FLOAT64 * mujoco.mj_stateSize(self._model, integration_state)
+        self._row_words = WORDS_PER_FLOAT64 * mujoco.mj_stateSize(self._model, STATE_ROW)
 
     def start(self, positions: jax.Array) -> PhysicsState:
         """A simulation at rest at the generalised positions [nq]."""
@@ -67,6 +67,11 @@ class NativePhysics:
         """Generalised positions [..., nq], float64, of concrete states."""
         rows = np.asarray(state.engine_state).view(np.float64)
         return rows[..., TIME_SIZE : TIME_SIZE + self._model.nq]
+
+    def copy_to_mujoco(self, state: PhysicsState, data: mujoco.MjData) -> None:
+        """Put one concrete state into MuJoCo's own data, every bit of it."""
+        row = np.asarray(state.engine_state).view(np.float64)
+        mujoco.mj_setState(self._model, data, row, STATE_ROW)
 
     def _call(self, function: Any, *arguments: jax.Array) -> PhysicsState:
         """Run a host function on the buffers of all vmapped simulations at once."""

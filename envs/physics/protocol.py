@@ -1,8 +1,12 @@
 """What a physics engine offers to an environment."""
 
+# mujoco's compiled modules come without stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from typing import Any, Protocol
 
 import jax
+import mujoco
 import numpy as np
 from flax import struct
 
@@ -39,5 +43,12 @@ class Physics(Protocol):
         """Generalised positions [..., nq] of concrete states with leading axes [...].
 
         On the host and outside of any traced function, for renderers and analysis.
+        """
+        ...
+
+    def copy_to_mujoco(self, state: PhysicsState, data: mujoco.MjData) -> None:
+        """Put one concrete state into `data`, which belongs to the scene's model or a copy of it.
+
+        What follows from the state there, such as positions of bodies, is for `mj_forward`.
         """
         ...

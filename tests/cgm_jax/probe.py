@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import State
 
-from cgm_jax.config.settings import Settings
+from cgm_jax.config.grid import hyperparameters
+from cgm_jax.config.settings import Hyperparameters, Settings
 
 
 @dataclass(frozen=True)
@@ -100,3 +101,8 @@ TINY = Settings(
     evaluation_episodes=10,
 )
 """Static settings that compile in seconds."""
+
+
+def tiny(**values: Any) -> Hyperparameters:
+    """Settings of a run with networks that compile in seconds."""
+    return hyperparameters(**{"hidden_layers": (16, 16), "target_update_every": 1, **values})

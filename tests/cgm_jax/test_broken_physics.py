@@ -9,11 +9,10 @@ import jax
 import numpy as np
 import pytest
 
-from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.progress import physics_lines
-from cgm_jax.loop.training import Trainer
+from cgm_jax.loop.training import make_trainer
 from tests.cgm_jax.broken_fetch import BrokenFetch
-from tests.cgm_jax.probe import TINY
+from tests.cgm_jax.probe import TINY, tiny
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,8 +20,8 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.slow
 def test_broken_episodes_reach_neither_replay_nor_normaliser_nor_statistics() -> None:
     env = BrokenFetch()
-    trainer, hyper = Trainer(env, TINY), Hyperparameters(her=False)
-    state = jax.jit(trainer.train_cycles)(trainer.initial_state(hyper), hyper, 3)
+    trainer, hyper = make_trainer(env, TINY), tiny(her=False)
+    state = jax.jit(trainer.train)(trainer.init(hyper), hyper, 3)
 
     kept, played = int(state.replay.inserted), 3 * TINY.environments
     assert 0 < kept < played
@@ -38,7 +37,7 @@ def test_broken_episodes_reach_neither_replay_nor_normaliser_nor_statistics() ->
     state, metrics = jax.jit(trainer.evaluate)(state, hyper)
     dropped = int(metrics["physics_warnings"]) - (played - kept)
     assert 0 < dropped < TINY.evaluation_episodes
-    assert int(state.history.count) == min(TINY.evaluation_episodes - dropped, TINY.success_history)
+    assert int(state.curriculum.subgoals.count) == TINY.evaluation_episodes - dropped
 
 
 def test_the_summary_names_the_run_with_most_broken_episodes() -> None:

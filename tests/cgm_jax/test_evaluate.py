@@ -2,6 +2,7 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+import dataclasses
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,9 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cgm_jax.config.grid import Group, Run
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.config.grid import Group, run_of
+from cgm_jax.config.settings import Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
@@ -41,7 +42,8 @@ def reaching_policy(gain: float) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunDirectory]:
     """Two runs on reach: one policy stands still, the other goes straight to the goal."""
-    runs = tuple(Run(name, Hyperparameters()) for name in ("still", "straight"))
+    values = dataclasses.asdict(REACH)
+    runs = tuple(run_of(name, values)[1] for name in ("still", "straight"))
     with RunDirectory.claimed(tmp_path_factory.mktemp("known") / "out", fresh=True) as directory:
         directory.write_config([Group(REACH, runs)], "smoke", "cpu")
         for run, gain in zip(runs, (0.0, 15.0), strict=True):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.envs.scripted import SHUT, Controller, pick_and_place, push
+from experiments.physics.scripted import SHUT, Controller, pick_and_place, push
 
 
 def reverse(observation: np.ndarray, goal: np.ndarray, step: int) -> np.ndarray:

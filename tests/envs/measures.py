@@ -22,11 +22,6 @@ def warnings(states: list[State]) -> float:
     return float(np.sum([state.metrics["physics_warnings"] for state in states]))
 
 
-def success(states: list[State]) -> np.ndarray:
-    """Whether the last step achieves the goal, [E]."""
-    return np.asarray(states[-1].metrics["success"]) > 0
-
-
 def object_speed(states: list[State]) -> np.ndarray:
     """Speed of the object [T + 1, E] in m/s; it is observed relative to the grip."""
     observed = observations(states)

@@ -10,9 +10,9 @@ import sys
 import numpy as np
 
 from cgm_jax import envs
+from experiments.physics.scripted import CONTROLLERS, Player, success
 from tests.envs.adversary import attack
-from tests.envs.measures import finger_depth, object_speed, observations, success, warnings
-from tests.envs.scripted import CONTROLLERS, Player
+from tests.envs.measures import finger_depth, object_speed, observations, warnings
 
 EPISODES = 100
 

@@ -15,8 +15,8 @@ from cgm_jax import envs
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.mocap_controller import ControlTarget
 from cgm_jax.envs.physics.native import NativePhysics
-from tests.envs.measures import success, warnings
-from tests.envs.scripted import CONTROLLERS, Player
+from experiments.physics.scripted import CONTROLLERS, Player, success
+from tests.envs.measures import warnings
 
 STARTS = Path(__file__).parents[1] / "data" / "gymnasium_starts.npz"
 GRIP_HOME = {
@@ -236,3 +236,23 @@ def test_broken_physics_is_reported() -> None:
 def test_bad_arguments_are_refused_by_name(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         envs.make(**{"engine": "native", **arguments})  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("shape", [(3,), (5,), (1, 4), (4, 1), ()])
+def test_an_action_of_another_shape_is_refused(
+    env: FetchEnvironment, shape: tuple[int, ...]
+) -> None:
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    action = jax.ShapeDtypeStruct(shape, jnp.float32)
+    with pytest.raises(ValueError, match="action: shape"):
+        jax.eval_shape(env.step, state, action)
+    batch = jax.eval_shape(jax.vmap(env.reset), jax.random.split(jax.random.key(0), 2))
+    with pytest.raises(ValueError, match="action: shape"):
+        jax.eval_shape(jax.vmap(env.step), batch, jnp.zeros((2, *shape)))
+
+
+def test_a_start_of_another_shape_is_refused(env: FetchEnvironment) -> None:
+    with pytest.raises(ValueError, match="object_xy: shape"):
+        env.reset_to(jnp.zeros(3), jnp.zeros(3))
+    with pytest.raises(ValueError, match="desired_goal: shape"):
+        env.reset_to(jnp.zeros(2), jnp.zeros(2))

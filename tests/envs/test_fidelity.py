@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cgm_jax import envs
-from experiments.fidelity import compare, difference, replay_task, replayer
+from experiments.physics.fidelity import compare, difference, replay_task, replayer
 
 RECORDING = Path(__file__).parents[1] / "data" / "gymnasium_fetch.npz"
 

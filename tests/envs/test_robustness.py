@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cgm_jax import envs
+from experiments.physics.scripted import Player
 from tests.envs.adversary import ADVERSARIES, attack
 from tests.envs.measures import finger_depth, object_speed, observations, warnings
-from tests.envs.scripted import Player
 
 
 @pytest.mark.parametrize("task", ["push", "pick_and_place"])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cgm_jax.agents.protocol import Minibatch
-from cgm_jax.envs.goals import Sizes
+from cgm_jax.config.sizes import Sizes
 
 SHAPES = {"inputs": (3,), "action": (2,), "reward": (), "next_inputs": (3,)}
 """Of one transition of the example."""

@@ -17,7 +17,8 @@ from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.loop.divergence import MAX_WEIGHT, describe_failure
 from cgm_jax.loop.training import compilations
 from tests.cgm_jax.agents.oracle import SIZES, example_batch
-from tests.cgm_jax.agents.trained import AGENTS, bits, is_key, on_host, tiny, trained
+from tests.cgm_jax.agents.trained import AGENTS, bits, is_key, on_host, trained
+from tests.cgm_jax.probe import tiny
 
 EVERY = pytest.mark.parametrize("agent", AGENTS)
 
@@ -92,7 +93,7 @@ def test_a_checkpoint_gives_every_bit_back_and_training_resumes_from_it(
 
 @EVERY
 def test_three_critics_learn_side_by_side(agent: str) -> None:
-    one = tiny(agent, critics=3).agent
+    one = tiny(agent=agent, critics=3).agent
     state = one.init(jax.random.key(0), SIZES._replace(critics=3))
     state, info = jax.jit(one.train)(state, example_batch(4), jax.random.key(1))
     batch = example_batch()
@@ -107,7 +108,7 @@ def test_three_critics_learn_side_by_side(agent: str) -> None:
 
 @EVERY
 def test_actions_lie_within_their_limits_and_only_explorers_need_a_key(agent: str) -> None:
-    one = tiny(agent).agent
+    one = tiny(agent=agent).agent
     state = one.init(jax.random.key(0), SIZES)
     inputs = 5.0 * example_batch().inputs
     first, second = (one.act(state, inputs, jax.random.key(i)) for i in (0, 1))
@@ -135,7 +136,7 @@ def test_wrong_settings_are_refused_in_one_line_that_starts_with_their_name(agen
 
 @EVERY
 def test_updates_that_come_in_no_whole_rounds_are_refused(agent: str) -> None:
-    one = tiny(agent, actor_update_every=5).agent
+    one = tiny(agent=agent, actor_update_every=5).agent
     with pytest.raises(SettingError, match=r"^actor_update_every: 5 does not divide .*, 12$"):
         one.init(jax.random.key(0), SIZES)
 

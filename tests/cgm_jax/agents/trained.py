@@ -8,11 +8,10 @@ import numpy as np
 
 from cgm_jax.config.components import builtin, component
 from cgm_jax.config.fields import declared, stack
-from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
-from tests.cgm_jax.probe import TINY
+from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
 AGENTS = sorted(builtin("agent"))
@@ -43,12 +42,12 @@ class Trained(NamedTuple):
 @functools.cache
 def trained(agent: str) -> Trained:
     """Train an agent on the point mass, once with each traced setting changed."""
-    runs = {"": tiny(agent)}
+    runs = {"": tiny(agent=agent)}
     for item in declared(component("agent", agent)):
         if item.metadata["traced"]:
-            runs[item.name] = tiny(agent, **{item.name: 0.5 * item.default})
+            runs[item.name] = tiny(agent=agent, **{item.name: 0.5 * item.default})
         if item.name.endswith("learning_rate"):
-            runs[f"diverging {item.name}"] = tiny(agent, **{item.name: 1e30})
+            runs[f"diverging {item.name}"] = tiny(agent=agent, **{item.name: 1e30})
     hyper = stack(list(runs.values()))
     programs = make_programs(make_trainer(PointMass(), TINY))
     states, failure = [programs.start(hyper)], np.zeros(len(runs))
@@ -58,14 +57,6 @@ def trained(agent: str) -> Trained:
         states.append(on_host(state))
         failure = np.asarray(metrics["failure"])
     return Trained(programs, list(runs), hyper, *states, failure)
-
-
-def tiny(agent: str, **values: Any) -> Hyperparameters:
-    """Settings of a run of a small agent, as a preset would give them."""
-    small = {"hidden_layers": (16, 16), "target_update_every": 1}
-    own = {item.name for item in declared(component("agent", agent))}
-    chosen = {**{name: value for name, value in small.items() if name in own}, **values}
-    return hyperparameters(agent=agent, **chosen)
 
 
 def on_host(state: TrainingState) -> TrainingState:

@@ -1,33 +1,37 @@
-import dataclasses
 from typing import Any
 
 import pytest
 
-from cgm_jax.config.grid import STATIC, build_groups, split
+from cgm_jax.agents.ddpg import DDPG
+from cgm_jax.config.fields import SettingError, check, declared
+from cgm_jax.config.grid import build_groups, run_of, split, swept_settings
 from cgm_jax.config.presets import PRESETS
-from cgm_jax.config.fields import SettingError, check
-from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.config.settings import LOOP_FIELDS
+from cgm_jax.curricula.cgm import CGM
+from cgm_jax.replay.future import Future
 
 
 def names(options: dict[str, list[Any]]) -> list[str]:
-    (group,) = build_groups("smoke", options)
-    return [run.name for run in group.runs]
+    return [run.name for group in build_groups("smoke", options) for run in group.runs]
 
 
 def test_a_grid_is_the_product_of_its_axes() -> None:
     (group,) = build_groups("smoke", {"c_g": [0.0, 0.1, 0.4], "kappa": [4.0, 32.0], "seed": [0, 1]})
-    values = [(run.hyper.c_g, run.hyper.kappa, run.hyper.seed) for run in group.runs]
+    curricula = [run.hyper.curriculum for run in group.runs]
+    values = [
+        (one.c_g, one.kappa, run.hyper.seed) for one, run in zip(curricula, group.runs, strict=True)
+    ]
     assert len(values) == len(set(values)) == 12
     assert len({run.name for run in group.runs}) == 12
     assert (0.4, 4.0, 1) in values
 
 
 def test_runs_that_differ_only_in_what_has_no_effect_are_trained_once() -> None:
-    both = names({"cgm": [True, False], "c_g": [0.1, 0.4], "kappa": [32.0]})
+    both = names({"curriculum": ["cgm", "full"], "c_g": [0.1, 0.4], "kappa": [32.0]})
     assert both == [
-        "reach_her_cgm-cg0.1-kappa32_seed0",
-        "reach_her_full_seed0",
-        "reach_her_cgm-cg0.4-kappa32_seed0",
+        "reach_ddpg-her_cgm-cg0.1-kappa32_seed0",
+        "reach_ddpg-her_cgm-cg0.4-kappa32_seed0",
+        "reach_ddpg-her_full_seed0",
     ]
     no_her = names({"her": [False], "her_k": [4.0, 6.0], "kappa": [32.0]})
     assert no_her == ["reach_ddpg_cgm-cg0.1-kappa32_seed0"]
@@ -42,23 +46,50 @@ def test_environments_whose_runs_would_share_names_are_refused() -> None:
         build_groups("smoke", {"env": ["a/mine.py:Task", "b/mine.py:Task"]})
 
 
-def test_every_traced_setting_can_be_an_axis_and_names_its_runs() -> None:
-    for item in dataclasses.fields(Hyperparameters):
-        values = [True, False] if isinstance(item.default, bool) else [0, 0.25]
-        values = [3, 4] if type(item.default) is int else values
-        assert len(names({"kappa": [32.0], item.name: values})) == 2, item.name
+def other_values(item: Any) -> list[Any]:
+    """Two values of a setting, neither of which any other test depends on."""
+    if item.name in OTHERS:
+        return OTHERS[item.name]
+    if isinstance(item.default, bool):
+        return [True, False]
+    return [3, 4] if type(item.default) is int else [0.25, 0.5]
 
 
-def test_masks_drawn_uniformly_make_one_run_whatever_the_rates() -> None:
-    options = {"kappa": [0.0], "c_g": [0.1, 0.4], "factorised": [True, False]}
-    assert len(names(options)) == 1
-    assert len(names({**options, "kappa": [1.0]})) == 4
+OTHERS = {
+    "env": ["reach", "push"],
+    "engine": ["native", "mjx"],
+    "hidden_layers": [(8, 8), (8, 16)],
+}
+FIELDS = LOOP_FIELDS | {item.name: item for kind in (CGM, DDPG, Future) for item in declared(kind)}
 
 
-@pytest.mark.parametrize("name", [name for name in STATIC if name != "env"])
-def test_every_static_setting_refuses_to_be_an_axis_by_name(name: str) -> None:
-    with pytest.raises(SettingError, match=f"^{name}: is static"):
-        build_groups("smoke", {name: [1, 2]})
+@pytest.mark.parametrize("name", FIELDS)
+def test_every_setting_can_be_swept_and_tells_its_runs_apart(name: str) -> None:
+    item = FIELDS[name]
+    groups = build_groups("smoke", {"kappa": [32.0], name: other_values(item)})
+    runs = [run for group in groups for run in group.runs]
+    assert len({run.name for run in runs}) == len(runs) == 2
+    assert len({repr(run.values[name]) for run in runs}) == 2
+    assert len(groups) == (1 if item.metadata["traced"] else 2)  # a program per static value
+    assert swept_settings(groups) == ([name] if name != "seed" else [])
+
+
+def test_runs_of_one_program_are_one_group_whatever_lies_between_them() -> None:
+    groups = build_groups("smoke", {"curriculum": ["cgm", "full"], "seed": [0, 1], "c_g": [0.1]})
+    assert [len(group.runs) for group in groups] == [4, 2]
+    assert {run.values["curriculum"] for run in groups[1].runs} == {"full"}
+
+
+def test_a_run_is_the_same_from_all_its_values() -> None:
+    for group in build_groups("smoke", {"curriculum": ["cgm", "full"], "epochs": [2, 3]}):
+        for run in group.runs:
+            assert run_of(run.name, run.values) == (group.settings, run)
+
+
+def test_of_a_presets_lists_a_single_run_takes_the_first_value() -> None:
+    (group,) = build_groups("paper", {"env": ["push"]}, single=True)
+    (run,) = group.runs
+    assert (run.values["c_g"], run.values["kappa"], run.values["her"]) == (0.0, 1.0, True)
 
 
 def test_environments_become_groups_with_the_papers_settings_for_each() -> None:
@@ -67,7 +98,7 @@ def test_environments_become_groups_with_the_papers_settings_for_each() -> None:
     assert [group.settings.environments for group in (push, pick)] == [16, 64]
     assert [group.settings.batch_size for group in (push, pick)] == [1024, 4096]
     for group in (push, pick):
-        points = {(run.hyper.c_g, run.hyper.kappa, run.hyper.her) for run in group.runs}
+        points = {tuple(run.values[name] for name in ("c_g", "kappa", "her")) for run in group.runs}
         assert len(points) == 18 * 2
         assert len(group.runs) == 18 * 2 * 5
     for group, env_steps in ((push, 51_200), (pick, 204_800)):
@@ -98,7 +129,10 @@ def test_groups_split_evenly_and_lose_no_run(largest: int, sizes: list[int]) -> 
         ({"hidden_layers": [(64, 0)]}, "hidden_layers: 0 is not within"),
         ({"seed": [-1]}, "seed: -1 is not within"),
         ({"env": []}, "env: needs at least one value"),
-        ({"actor_update_every": [3]}, "actor_update_every: 3 does not divide updates_per_cycle, 4"),
+        ({"curriculum": ["nothing"]}, "curriculum: unknown curriculum 'nothing'; choose from cgm"),
+        ({"agent": ["x.py:A"]}, "agent: 'x.py:A' is not FILE.py:NAME with a file that exists"),
+        ({"no_such": [1]}, "no_such: is no setting of curriculum cgm, agent ddpg"),
+        ({"curriculum": ["full"], "c_g": [0.1]}, "c_g: is no setting of curriculum full"),
     ],
 )
 def test_bad_values_are_refused_by_name(options: dict[str, list[Any]], message: str) -> None:

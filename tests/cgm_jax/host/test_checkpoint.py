@@ -8,18 +8,18 @@ import jax
 import numpy as np
 import pytest
 
-from cgm_jax.config.fields import SettingError
-from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
-from cgm_jax.loop.programs import make_programs
-from cgm_jax.loop.state import TrainingState, stack
-from cgm_jax.loop.training import Trainer
-from tests.cgm_jax.probe import TINY
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.training import make_programs, make_trainer
+from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
 # A ring of 80 slots, of which one cycle fills 8.
-PROGRAMS = make_programs(Trainer(PointMass(), dataclasses.replace(TINY, replay_transitions=2000)))
-HYPER = stack([Hyperparameters(seed=0), Hyperparameters(seed=1)])
+PROGRAMS = make_programs(
+    make_trainer(PointMass(), dataclasses.replace(TINY, replay_transitions=2000))
+)
+HYPER = stack([tiny(seed=0), tiny(seed=1)])
 LIKE = jax.eval_shape(PROGRAMS.start, HYPER)
 ROWS = ['{"run": "a"}\n', '{"run": "ä"}\n']
 
@@ -123,8 +123,8 @@ def test_no_checkpoint_is_the_beginning(tmp_path: Path) -> None:
 
 def test_the_state_of_another_program_is_refused(tmp_path: Path, state: TrainingState) -> None:
     save(tmp_path, state, epoch=1)
-    other = dataclasses.replace(TINY, hidden_layers=(8, 8))
-    like = jax.eval_shape(make_programs(Trainer(PointMass(), other)).start, HYPER)
+    other = stack([tiny(seed=i, hidden_layers=(8, 8)) for i in (0, 1)])
+    like = jax.eval_shape(PROGRAMS.start, other)
     with pytest.raises(SettingError, match=r"resume: .* holds the state of another program"):
         load_checkpoint(tmp_path, 0, like)
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from cgm_jax.config.grid import build_groups
-from cgm_jax.config.fields import SettingError
-from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.config.fields import SettingError, stack
+from cgm_jax.config.grid import build_groups, run_of
 from cgm_jax.host import memory, runner
 from cgm_jax.host.memory import (
     MemoryEstimate,
@@ -19,29 +18,29 @@ from cgm_jax.host.memory import (
     runs_that_fit,
     tree_bytes,
 )
-from cgm_jax.loop.programs import make_programs
-from cgm_jax.loop.state import stack
-from cgm_jax.loop.training import Trainer
-from tests.cgm_jax.probe import TINY
+from cgm_jax.loop.training import make_programs, make_trainer
+from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.sweeps import ROOT
 from tests.examples.point_mass import PointMass
 
 
 def test_the_replay_buffer_is_counted_to_the_byte() -> None:
-    state = jax.eval_shape(Trainer(PointMass(), TINY).initial_state, Hyperparameters())
-    # 40 episodes of 25 steps: observation 4 and goal 2 at 26 steps, action 2, goal and mask.
-    floats = 40 * (26 * (4 + 2) + 25 * 2 + 2 + 2)
+    state = jax.eval_shape(make_trainer(PointMass(), TINY).init, tiny())
+    # 40 episodes of 25 steps: observation 4 and goal 2 at 26 steps, action 2; goal, mask, and
+    # threshold.
+    floats = 40 * (26 * (4 + 2) + 25 * 2 + 2 + 2 + 1)
     assert tree_bytes(state.replay) == 4 * (floats + 1)
 
 
 def test_the_parts_of_a_run_by_hand() -> None:
-    estimate = estimate_memory(Trainer(PointMass(), TINY))
-    episode = 4 * (26 * (4 + 2) + 25 * 2 + 2 + 2)
+    trainer = make_trainer(PointMass(), TINY)
+    estimate = estimate_memory(trainer, tiny())
+    episode = 4 * (26 * (4 + 2) + 25 * 2 + 2 + 2 + 1)
     step = 2 * 4 * (4 + 2 + 2 + 2) + 4 * (16 + 16)  # the environment, reward and done; layers
     assert estimate.rollout == TINY.environments * (4 * episode + step)
     assert estimate.evaluation == TINY.evaluation_episodes * (episode + step)
-    measured = dataclasses.replace(TINY, masked_evaluation_episodes=7)  # of each of four masks
-    assert estimate_memory(Trainer(PointMass(), measured)).evaluation == 28 * (episode + step)
+    measured = tiny(masked_evaluation_episodes=7)  # of each of four masks
+    assert estimate_memory(trainer, measured).evaluation == 28 * (episode + step)
     minibatches = 4 * TINY.updates_per_cycle * TINY.batch_size * (2 * (4 + 2) + 2 + 1)
     assert estimate.minibatches == 2 * minibatches
     actor = 6 * 16 + 16 + 16 * 16 + 16 + 16 * 2 + 2
@@ -69,12 +68,13 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_the_model_of_each_phase_against_xlas_own_plan(case: str) -> None:
-    settings = dataclasses.replace(TINY, **CASES[case])  # pyright: ignore
-    trainer, runs = Trainer(PointMass(), settings), 4
-    programs, hyper = make_programs(trainer), stack([Hyperparameters()] * runs)
+    values = {"hidden_layers": (16, 16), **dataclasses.asdict(TINY), **CASES[case]}
+    settings, run = run_of(case, values)
+    trainer, runs = make_trainer(PointMass(), settings), 4
+    programs, hyper = make_programs(trainer), stack([run.hyper] * runs)
     state = jax.eval_shape(programs.start, hyper)
     plan = programs.train.lower(state, hyper, 1).compile().memory_analysis()  # pyright: ignore
-    estimate = estimate_memory(trainer)
+    estimate = estimate_memory(trainer, run.hyper)
     modelled = estimate.total(runs) - estimate.fixed
     actual = plan.argument_size_in_bytes + plan.temp_size_in_bytes
     assert modelled == pytest.approx(actual, rel=0.35)

@@ -43,16 +43,15 @@ import dataclasses, pathlib, sys
 import jax, numpy as np
 from cgm_jax import envs
 from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
-from cgm_jax.loop.programs import make_programs
 from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.loop.training import Trainer
-from cgm_jax.loop.state import stack
-from tests.cgm_jax.probe import TINY
+from cgm_jax.loop.training import make_programs, make_trainer
+from cgm_jax.config.fields import stack
+from tests.cgm_jax.probe import TINY, tiny
 
 env = dataclasses.replace(envs.make("reach", engine="mjx"), episode_length=4)
 settings = dataclasses.replace(TINY, environments=2, evaluation_episodes=2, replay_transitions=40)
-programs = make_programs(Trainer(env, settings))
-hyper = stack([Hyperparameters(seed=0), Hyperparameters(seed=1)])
+programs = make_programs(make_trainer(env, settings))
+hyper = stack([tiny(seed=0), tiny(seed=1)])
 
 def epochs(state, count):
     history = []

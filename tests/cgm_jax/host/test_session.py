@@ -4,6 +4,7 @@ The programs compile once for all tests; processes of their own are in test_resu
 """
 
 import contextlib
+import dataclasses
 import functools
 import json
 import os
@@ -24,9 +25,9 @@ from brax.envs.base import State
 from jax.experimental.buffer_callback import buffer_callback
 
 from cgm_jax import sweep
-from cgm_jax.config.grid import Group, Run
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.config.grid import Group, run_of
+from cgm_jax.config.settings import Settings
 from cgm_jax.host import recorder, runner, session
 from cgm_jax.host.checkpoint import Standing
 from cgm_jax.results import figures
@@ -41,9 +42,12 @@ ALWAYS = ["--checkpoint-seconds", "0"]
 
 
 @pytest.fixture(autouse=True)
-def fast(monkeypatch: pytest.MonkeyPatch, programs: Callable[..., Any]) -> None:
+def fast(
+    monkeypatch: pytest.MonkeyPatch, trainers: Callable[..., Any], programs: Callable[..., Any]
+) -> None:
     monkeypatch.setattr(figures, "draw_figures", lambda _: None)
     monkeypatch.setattr(runner, "make_environment", lambda _: PointMass())
+    monkeypatch.setattr(runner, "make_trainer", trainers)
     monkeypatch.setattr(runner, "make_programs", programs)
     # The default would end pytest itself, were the machine slow.
     patient = functools.partial(session.Interruption, patience=300.0)
@@ -51,8 +55,16 @@ def fast(monkeypatch: pytest.MonkeyPatch, programs: Callable[..., Any]) -> None:
 
 
 @pytest.fixture(scope="module")
+def trainers() -> Callable[..., Any]:
+    """Trainers that are made once, so that their programs are too."""
+    return functools.cache(runner.make_trainer)
+
+
+@pytest.fixture(scope="module")
 def programs() -> Callable[..., Any]:
-    return functools.cache(runner.make_programs)
+    made: dict[int, Any] = {}
+    make = runner.make_programs
+    return lambda trainer: made.setdefault(id(trainer), make(trainer))
 
 
 def train(out: Path, *options: str) -> int:
@@ -60,11 +72,16 @@ def train(out: Path, *options: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, programs: Callable[..., Any]) -> Path:
+def whole(
+    tmp_path_factory: pytest.TempPathFactory,
+    trainers: Callable[..., Any],
+    programs: Callable[..., Any],
+) -> Path:
     """A sweep that nothing has disturbed."""
     out = tmp_path_factory.mktemp("whole") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "make_environment", lambda _: PointMass())
+        patch.setattr(runner, "make_trainer", trainers)
         patch.setattr(runner, "make_programs", programs)
         assert train(out) == 0
     return out
@@ -131,7 +148,8 @@ def test_all_runs_side_by_side_must_hold_the_success(
     first: list[float], second: list[float | None], finished: bool
 ) -> None:
     settings = Settings(epochs=9, leave_at=0.5)
-    group = Group(settings, tuple(Run(name, Hyperparameters()) for name in "ab"))
+    values = dataclasses.asdict(settings)
+    group = Group(settings, tuple(run_of(name, values)[1] for name in "ab"))
     lines = [
         json.dumps({"success_rate": r}) for pair in zip(first, second, strict=True) for r in pair
     ]

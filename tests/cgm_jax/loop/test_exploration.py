@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.config.grid import hyperparameters
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
 
 STEPS, EPISODES, SIZE = 50, 2000, 3
@@ -13,7 +13,7 @@ def draw(random_action_steps: int = 1) -> dict[str, np.ndarray]:
     noise = draw_exploration(
         jax.random.key(0),
         (STEPS, EPISODES, SIZE),
-        Hyperparameters(random_action_steps=random_action_steps),
+        hyperparameters(random_action_steps=random_action_steps),
     )
     return {name: np.asarray(getattr(noise, name)) for name in Exploration.__dataclass_fields__}
 

@@ -8,29 +8,30 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.config.grid import Run
-from cgm_jax.config.fields import SettingError
+from cgm_jax.config.fields import declared, stack
 from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.loop.programs import compilations, make_programs, stack_runs
-from cgm_jax.loop.state import TrainingState, stack
-from cgm_jax.loop.training import Metrics, Trainer, deterministic_actor
+from cgm_jax.loop.evaluation import Metrics
+from cgm_jax.loop.learning import minibatches
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.training import Trainer, compilations, make_programs, make_trainer
 from tests.cgm_jax.probe import (
     TINY,
     AlwaysFaultyProbe,
     FaultyProbe,
     OneStepProbe,
     actor_that_needs_to_see_y,
+    tiny,
 )
 from tests.examples.point_mass import PointMass
 
-TRAINER = Trainer(PointMass(), TINY)
+TRAINER = make_trainer(PointMass(), TINY)
 PROGRAMS = make_programs(TRAINER)
 
 
 @functools.cache
 def compiled(trainer: Trainer) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Jitted once, so that tests with the same number of runs share a compilation."""
-    return jax.jit(jax.vmap(trainer.initial_state)), jax.jit(jax.vmap(trainer.epoch))
+    return jax.jit(jax.vmap(trainer.init)), jax.jit(jax.vmap(trainer.epoch))
 
 
 def epochs(
@@ -55,8 +56,8 @@ def bits(tree: Any) -> list[np.ndarray]:
 
 
 def test_the_same_seed_repeats_bit_for_bit_and_another_differs() -> None:
-    state, _ = epochs([Hyperparameters(seed=3), Hyperparameters(seed=3), Hyperparameters(seed=4)])
-    again, _ = epochs([Hyperparameters(seed=3), Hyperparameters(seed=3), Hyperparameters(seed=4)])
+    state, _ = epochs([tiny(seed=3), tiny(seed=3), tiny(seed=4)])
+    again, _ = epochs([tiny(seed=3), tiny(seed=3), tiny(seed=4)])
     for leaf, repeated in zip(bits(state), bits(again), strict=True):
         np.testing.assert_array_equal(leaf, repeated)
         np.testing.assert_array_equal(leaf[0], leaf[1])
@@ -86,9 +87,9 @@ class Rescaled(PointMass):
 @pytest.mark.parametrize("unit", [2.0**10, 2.0**-17])
 def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float) -> None:
     # Powers of two, so that float32 scales exactly: about millimetres, and about 1e-5.
-    _, expected = epochs([Hyperparameters(seed=5)], trainer=Trainer(Rescaled(), TINY))
+    _, expected = epochs([tiny(seed=5)], trainer=make_trainer(Rescaled(), TINY))
     env = Rescaled(unit=unit, distance_threshold=0.1 * unit)
-    _, metrics = epochs([Hyperparameters(seed=5)], trainer=Trainer(env, TINY))
+    _, metrics = epochs([tiny(seed=5)], trainer=make_trainer(env, TINY))
     for one, other in zip(metrics, expected, strict=True):
         for name in ("success_rate", "subgoal_success", "critic_loss", "actor_loss", "value"):
             np.testing.assert_array_equal(one[name], other[name], name)
@@ -96,29 +97,25 @@ def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float) -> None:
 
 def test_a_task_far_from_the_origin_trains_alike() -> None:
     # Float32 resolves 3e-5 there, so alike only as far as rounding lets trajectories agree.
-    _, expected = epochs([Hyperparameters(seed=5)], 1, trainer=Trainer(Rescaled(), TINY))
+    _, expected = epochs([tiny(seed=5)], 1, trainer=make_trainer(Rescaled(), TINY))
     env = Rescaled(origin=500.0)
-    state, metrics = epochs([Hyperparameters(seed=5)], 1, trainer=Trainer(env, TINY))
+    state, metrics = epochs([tiny(seed=5)], 1, trainer=make_trainer(env, TINY))
     np.testing.assert_allclose(metrics[0]["critic_loss"], expected[0]["critic_loss"], rtol=0.05)
     spread = np.asarray(state.replay.episodes.desired_goal[0, :16]).std(0)
     statistics: Any = state.normaliser.goal
     assert (np.asarray(statistics.std[0]) < 3 * spread).all()
 
 
-def test_metrics_count_the_episodes_that_moved_and_those_per_mask() -> None:
-    _, metrics = epochs([Hyperparameters(seed=1), Hyperparameters(seed=1, cgm=False)], 1)
-    np.testing.assert_allclose(metrics[0]["mask_share"].sum(1), 1.0)
-    np.testing.assert_array_equal(metrics[0]["mask_share"][1], [0.0, 0.0, 0.0, 1.0])
-    np.testing.assert_array_equal(metrics[0]["moved_share"], 1.0)  # a force always moves the point
-    _, still = epochs([Hyperparameters()], 1, Trainer(Rescaled(unit=0.0), TINY))
+def test_metrics_count_the_episodes_that_moved() -> None:
+    _, still = epochs([tiny()], 1, make_trainer(Rescaled(unit=0.0), TINY))
     np.testing.assert_array_equal(still[0]["moved_share"], 0.0)
 
 
 def test_a_run_among_others_equals_the_run_alone() -> None:
     runs = [
-        Hyperparameters(seed=0, c_g=0.8, kappa=1.0),
-        Hyperparameters(seed=1, c_g=0.1, kappa=32.0),
-        Hyperparameters(seed=2, cgm=False, her=False, action_noise=0.5),
+        tiny(seed=0, c_g=0.8, kappa=1.0),
+        tiny(seed=1, c_g=0.1, kappa=32.0),
+        tiny(seed=2, full_share=1.0, her=False, action_noise=0.5),
     ]
     together, together_metrics = epochs(runs)
     for i, run in enumerate(runs):
@@ -133,11 +130,11 @@ def test_a_run_among_others_equals_the_run_alone() -> None:
 
 
 def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
-    base = Hyperparameters(c_g=0.4, kappa=1.0)
+    base = tiny(c_g=0.4, kappa=1.0)
     changes: dict[str, Any] = {
         "c_g": 0.9,
         "kappa": 30.0,
-        "cgm": False,
+        "full_share": 1.0,
         "her": False,
         "her_k": 1.0,
         "actor_learning_rate": 1e-4,
@@ -150,9 +147,15 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
         "random_action_steps": 7,
         "seed": 1,
     }
-    later = {"her_filter", "factorised"}  # no effect within this short run: tested below
-    assert {*changes, *later} == {field.name for field in dataclasses.fields(Hyperparameters)}
-    runs = [base] + [dataclasses.replace(base, **{name: value}) for name, value in changes.items()]
+    # No effect within this short run: tested elsewhere.
+    later = {"her_filter", "her_masks", "factorised"}
+    instances = [base, base.curriculum, base.agent, base.relabelling]
+    fields = [item for instance in instances for item in declared(instance)]
+    assert {*changes, *later} == {item.name for item in fields if item.metadata["traced"]}
+    runs = [
+        base,
+        *(tiny(**{"c_g": 0.4, "kappa": 1.0, name: value}) for name, value in changes.items()),
+    ]
     state, _ = epochs(runs, count=1)
     actors = bits(state.agent.actor)
     for i, name in enumerate(changes, start=1):
@@ -160,7 +163,7 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
 
 
 def test_sampled_goals_change_after_every_reset() -> None:
-    state, _ = epochs([Hyperparameters(seed=i) for i in range(3)])
+    state, _ = epochs([tiny(seed=i) for i in range(3)])
     goals = np.asarray(state.replay.episodes.desired_goal[0, : int(state.replay.inserted[0])])
     assert len(goals) == 2 * TINY.cycles_per_epoch * TINY.environments
     assert len(np.unique(goals, axis=0)) == len(goals)
@@ -169,7 +172,7 @@ def test_sampled_goals_change_after_every_reset() -> None:
 def test_training_compiles_once_however_it_is_cut_into_chunks() -> None:
     programs = PROGRAMS
     for values in ((0.1, 0.2), (0.6, 0.9)):
-        hyper = stack_runs([Run(str(c_g), Hyperparameters(c_g=c_g)) for c_g in values])
+        hyper = stack([tiny(c_g=c_g) for c_g in values])
         state = programs.start(hyper)
         for _ in range(2):
             for cycles in (1, 3, 2):
@@ -181,7 +184,7 @@ def test_training_compiles_once_however_it_is_cut_into_chunks() -> None:
 
 def test_chunks_give_the_bits_of_one_epoch() -> None:
     programs = PROGRAMS
-    hyper = stack([Hyperparameters(seed=5)] * 2)
+    hyper = stack([tiny(seed=5)] * 2)
     whole = programs.train(programs.start(hyper), hyper, 4)
     cut = programs.start(hyper)
     for cycles in (1, 2, 1):
@@ -191,32 +194,44 @@ def test_chunks_give_the_bits_of_one_epoch() -> None:
 
 
 def test_metrics_count_steps_updates_and_masks() -> None:
-    runs = [Hyperparameters(c_g=0.5, kappa=0.0), Hyperparameters(cgm=False), Hyperparameters()]
+    runs = [
+        tiny(c_g=0.5, kappa=1.0),
+        tiny(),
+    ]
     state, history = epochs(runs)
     metrics = history[-1]
     np.testing.assert_array_equal(metrics["env_steps"], 2 * 2 * 8 * 25)
     np.testing.assert_array_equal(metrics["updates"], 2 * 2 * 4)
-    np.testing.assert_allclose(metrics["mask_probability"][:2], [[0.25] * 4, [0, 0, 0, 1]])
-    # Without CGM only the full goal was sampled; 0 / 0 marks the others.
-    assert np.isnan(metrics["mask_rate_training"][1]).tolist() == [True, True, True, False]
-    masks = np.asarray(state.replay.episodes.mask[1, : int(state.replay.inserted[1])])
+    np.testing.assert_allclose(metrics["mask_share"].sum(1), 1.0)
+    np.testing.assert_array_equal(metrics["moved_share"], 1.0)  # a force always moves the point
+    masks = np.asarray(state.replay.episodes.mask[0, : int(state.replay.inserted[0])])
+    assert masks.min() == 0.0
+
+
+def test_without_a_curriculum_only_the_full_goal_is_practised() -> None:
+    state, history = epochs([tiny(curriculum="full")])
+    # 0 / 0 marks masks that were never drawn.
+    assert np.isnan(history[-1]["mask_rate_training"][0]).tolist() == [True, True, True, False]
+    np.testing.assert_array_equal(history[-1]["mask_share"][0], [0.0, 0.0, 0.0, 1.0])
+    masks = np.asarray(state.replay.episodes.mask[0, : int(state.replay.inserted[0])])
     np.testing.assert_array_equal(masks, 1.0)
-    assert np.asarray(state.replay.episodes.mask[0]).min() == 0.0
+    assert "mask_probability" not in history[-1]
 
 
 def test_the_curriculum_follows_the_sub_goal_history() -> None:
-    state, history = epochs([Hyperparameters(c_g=0.3)], count=1)
+    state, history = epochs([tiny(c_g=0.3)], count=1)
     np.testing.assert_allclose(history[0]["mask_rate_estimated"][0, -1], 0.3, rtol=1e-5)
-    successes = np.asarray(state.history.successes[0])
-    rates, _ = TRAINER.curriculum(jax.tree.map(lambda leaf: leaf[0], state), Hyperparameters())
+    known = jax.tree.map(lambda leaf: leaf[0], state.curriculum)
+    successes = np.asarray(known.subgoals.successes)
+    rates = tiny().curriculum.rates(known)
     expected = [1.0, successes[:, 1].mean(), successes[:, 0].mean(), successes.mean(0).prod()]
     np.testing.assert_allclose(rates, expected, rtol=1e-5)
 
 
 def test_episodes_with_broken_physics_are_dropped_and_counted() -> None:
     settings = dataclasses.replace(TINY, environments=16)
-    trainer = Trainer(FaultyProbe((1.0, -1.0)), settings)
-    state, history = epochs([Hyperparameters()], count=1, trainer=trainer)
+    trainer = make_trainer(FaultyProbe((1.0, -1.0)), settings)
+    state, history = epochs([tiny()], count=1, trainer=trainer)
     dropped, kept = float(history[0]["physics_warnings"][0]), int(state.replay.inserted[0])
     assert 0 < kept < 32
     assert dropped > 32 - kept  # evaluation episodes count as well
@@ -225,21 +240,15 @@ def test_episodes_with_broken_physics_are_dropped_and_counted() -> None:
 
 
 def test_an_evaluation_without_a_valid_episode_has_no_success_rate() -> None:
-    trainer = Trainer(AlwaysFaultyProbe((1.0,)), TINY)
-    state = trainer.initial_state(Hyperparameters())
-    state, metrics = jax.jit(trainer.evaluate)(state, Hyperparameters())
+    trainer = make_trainer(AlwaysFaultyProbe((1.0,)), TINY)
+    state = trainer.init(tiny())
+    state, metrics = jax.jit(trainer.evaluate)(state, tiny())
     assert np.isnan(float(metrics["success_rate"]))
-    assert int(state.history.count) == 0
-
-
-def test_goals_with_more_masks_than_can_be_tabulated_are_refused() -> None:
-    trainer = Trainer(OneStepProbe((0.0,), goal_size=13), TINY)
-    with pytest.raises(SettingError, match="env: its goal has 13 dimensions"):
-        trainer.initial_state(Hyperparameters())
+    assert int(state.curriculum.subgoals.count) == 0
 
 
 def test_the_filter_decides_which_episodes_are_relabelled() -> None:
-    state, _ = epochs([Hyperparameters()], count=1)
+    state, _ = epochs([tiny()], count=1)
     state = jax.tree.map(lambda leaf: leaf[0], state)
     episodes = state.replay.episodes
     still = episodes.achieved_goal.at[1:].set(episodes.achieved_goal[1:, :1])  # all but the first
@@ -248,70 +257,67 @@ def test_the_filter_decides_which_episodes_are_relabelled() -> None:
     )
     assert int(state.replay.inserted) == 16
     for her_filter in (False, True):
-        hyper = Hyperparameters(her_k=6.0, her_filter=her_filter, cgm=False)
-        rewards = TRAINER.minibatches(state, hyper, jax.random.key(0)).reward
+        hyper = tiny(her_k=6.0, her_filter=her_filter, curriculum="full")
+        rewards = minibatches(TRAINER.setup, state, hyper, jax.random.key(0)).reward
         # Hindsight goals of episodes that stood still are achieved throughout.
         achieved = float((rewards == 0).mean())
         assert (achieved > 0.75) != her_filter
 
 
 def test_masks_are_judged_by_product_or_joint_rate() -> None:
-    state = TRAINER.initial_state(Hyperparameters())
+    state = TRAINER.init(tiny()).curriculum
     # Two sub-goals that succeed together in half of the rollouts, and never alone.
-    history = state.history.replace(
+    history = state.subgoals.replace(
         successes=jnp.tile(jnp.array([[0.0, 0.0], [1.0, 1.0]]), (5, 1)),
         count=jnp.asarray(10, jnp.int32),
     )
-    state = state.replace(history=history)
-    product = TRAINER.curriculum(state, Hyperparameters(factorised=True))[0]
-    joint = TRAINER.curriculum(state, Hyperparameters(factorised=False))[0]
+    state = state.replace(subgoals=history)
+    product = tiny(factorised=True).curriculum.rates(state)
+    joint = tiny(factorised=False).curriculum.rates(state)
     np.testing.assert_allclose(product, [1.0, 0.5, 0.5, 0.25])
     np.testing.assert_allclose(joint, [1.0, 0.5, 0.5, 0.5])
 
 
 def test_measured_masks_are_judged_by_episodes_with_their_own_masked_goal() -> None:
     """A policy that needs to see y to achieve x: with y masked x fails, which no estimate knows."""
-    settings = dataclasses.replace(TINY, masked_evaluation_episodes=3)
-    trainer = Trainer(OneStepProbe((1.0,), goal_size=2, action_size=2), settings)
-    state = trainer.initial_state(Hyperparameters())
+    trainer = make_trainer(OneStepProbe((1.0,), goal_size=2, action_size=2), TINY)
+    measured = tiny(masked_evaluation_episodes=3)
+    state = trainer.init(measured)
     actor = actor_that_needs_to_see_y(state.agent.actor)
     state = state.replace(agent=state.agent.replace(actor=actor))
-    before, _ = trainer.curriculum(state, Hyperparameters(c_g=0.25))
+    before = tiny(c_g=0.25).curriculum.rates(state.curriculum)
     np.testing.assert_allclose(before, [1.0, 0.5, 0.5, 0.25])
-    state, metrics = jax.jit(trainer.evaluate)(state, Hyperparameters())
+    state, metrics = jax.jit(trainer.evaluate)(state, measured)
     assert float(metrics["success_rate"]) == 1.0
-    assert int(state.mask_history.count) == 3
-    rates, _ = trainer.curriculum(state, Hyperparameters())
+    assert int(state.curriculum.masks.count) == 3
+    rates = measured.curriculum.rates(state.curriculum)
     np.testing.assert_array_equal(rates, [1.0, 1.0, 0.0, 1.0])
 
 
 def test_episodes_of_measured_masks_with_broken_physics_are_counted() -> None:
-    settings = dataclasses.replace(TINY, masked_evaluation_episodes=3)
-    trainer = Trainer(AlwaysFaultyProbe((1.0,)), settings)
-    state = trainer.initial_state(Hyperparameters())
-    state, metrics = jax.jit(trainer.evaluate)(state, Hyperparameters())
+    trainer = make_trainer(AlwaysFaultyProbe((1.0,)), TINY)
+    measured = tiny(masked_evaluation_episodes=3)
+    state, metrics = jax.jit(trainer.evaluate)(trainer.init(measured), measured)
     assert float(metrics["physics_warnings"]) == TINY.evaluation_episodes + 2 * 3
-    assert int(state.mask_history.count) == 0
+    assert int(state.curriculum.masks.count) == 0
 
 
 def test_a_cycle_updates_the_actor_once_in_so_many_updates_of_the_critic() -> None:
-    settings = dataclasses.replace(TINY, updates_per_cycle=6, actor_update_every=3)
-    trainer = Trainer(TRAINER.env, settings)
-    state = trainer.initial_state(Hyperparameters())
-    state = jax.jit(trainer.train_cycles)(state, Hyperparameters(), 2)
+    trainer = make_trainer(PointMass(), dataclasses.replace(TINY, updates_per_cycle=6))
+    hyper = tiny(actor_update_every=3)
+    state = jax.jit(trainer.train)(trainer.init(hyper), hyper, 2)
     assert int(state.agent.updates) == int(state.agent.critic_optimiser.count) == 12
     assert int(state.agent.actor_optimiser.count) == 4
     assert float(state.statistics.updates) == 4  # of both networks, whose losses are logged
 
 
 def test_the_evaluated_actor_is_the_one_that_the_settings_name() -> None:
-    state, _ = epochs([Hyperparameters()], count=1)
+    state, _ = epochs([tiny()], count=1)
     for evaluate_target, expected in (
         (True, state.agent.target_actor),
         (False, state.agent.actor),
     ):
-        settings = dataclasses.replace(TINY, evaluate_target=evaluate_target)
-        chosen = deterministic_actor(settings, state.agent)
+        chosen = tiny(evaluate_target=evaluate_target).agent.actor(state.agent)
         for leaf, same in zip(bits(chosen), bits(expected), strict=True):
             np.testing.assert_array_equal(leaf, same)
     pairs = zip(bits(state.agent.actor), bits(state.agent.target_actor), strict=True)
@@ -322,14 +328,15 @@ def test_evaluation_plays_the_target_actor_where_the_settings_say_so() -> None:
     """A target actor that pushes one way only cannot achieve what the actor achieves."""
     success = {}
     for evaluate_target in (False, True):
-        trainer = Trainer(
-            OneStepProbe(goals=(1.0,)), dataclasses.replace(TINY, evaluate_target=evaluate_target)
+        trainer, hyper = (
+            make_trainer(OneStepProbe(goals=(1.0,)), TINY),
+            tiny(evaluate_target=evaluate_target),
         )
-        state = trainer.initial_state(Hyperparameters())
+        state = trainer.init(hyper)
         actors = [jax.tree.map(jnp.zeros_like, state.agent.actor) for _ in range(2)]
         for actor, bias in zip(actors, (1.0, -1.0), strict=True):
             actor["params"]["layer_2"]["bias"] += bias
         agent = state.agent.replace(actor=actors[0], target_actor=actors[1])
-        _, metrics = trainer.evaluate(state.replace(agent=agent), Hyperparameters())
+        _, metrics = trainer.evaluate(state.replace(agent=agent), hyper)
         success[evaluate_target] = float(metrics["success_rate"])
     assert success == {False: 1.0, True: 0.0}

@@ -3,7 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.replay.relabelling import LEAST_MOTION, Transitions, sample_transitions
+from cgm_jax.replay.future import LEAST_MOTION, Future
+from cgm_jax.replay.protocol import Transitions
 from cgm_jax.replay.ring import Episodes, Replay, empty_replay, insert
 
 EPISODES, LENGTH, GOAL = 5, 10, 3
@@ -24,27 +25,25 @@ def make_replay() -> tuple[Replay, Episodes]:
         action=jnp.asarray(codes[:, :-1]),
         desired_goal=jnp.asarray(0.04 * generator.integers(0, 3, (EPISODES, GOAL)), jnp.float32),
         mask=jnp.asarray(generator.integers(0, 2, (EPISODES, GOAL)), jnp.float32),
+        threshold=jnp.full(EPISODES, THRESHOLD),
     )
     replay = empty_replay(EPISODES + 3, LENGTH, 2, GOAL, 2)
     return insert(replay, episodes, jnp.ones(EPISODES, bool)), episodes
 
 
-def draw(probability: float) -> tuple[dict[str, np.ndarray], Episodes]:
+OWN, HINDSIGHT = Future(her=False), Future(her_k=1e6)
+"""No transition is relabelled, or as good as all."""
+
+
+def draw(future: Future) -> tuple[dict[str, np.ndarray], Episodes]:
     replay, episodes = make_replay()
-    transitions: Transitions = sample_transitions(
-        jax.random.key(1),
-        replay,
-        COUNT,
-        her_probability=jnp.asarray(probability),
-        her_filter=jnp.asarray(False),
-        distance_threshold=THRESHOLD,
-    )
+    transitions: Transitions = future.sample(jax.random.key(1), replay, COUNT, THRESHOLD)
     names = Transitions.__dataclass_fields__
     return {name: np.asarray(getattr(transitions, name)) for name in names}, episodes
 
 
 def test_transitions_are_uniform_over_episodes_and_steps() -> None:
-    transitions, _ = draw(0.0)
+    transitions, _ = draw(OWN)
     episode, step = transitions["observation"].astype(int).T
     counts = np.zeros((EPISODES, LENGTH))
     np.add.at(counts, (episode, step), 1)
@@ -58,7 +57,7 @@ def test_transitions_are_uniform_over_episodes_and_steps() -> None:
 
 
 def test_without_her_goals_and_masks_are_the_episodes_own() -> None:
-    transitions, episodes = draw(0.0)
+    transitions, episodes = draw(OWN)
     episode, step = transitions["observation"].astype(int).T
     achieved, mask = np.asarray(episodes.achieved_goal), np.asarray(episodes.mask)[episode]
     goal = np.asarray(episodes.desired_goal)[episode]
@@ -77,14 +76,7 @@ def test_with_her_goals_come_uniformly_from_later_steps_and_rewards_follow() -> 
     distinct = distinct.reshape(EPISODES, LENGTH + 1, GOAL)
     episodes = episodes.replace(achieved_goal=distinct)
     replay = insert(empty_replay(EPISODES, LENGTH, 2, GOAL, 2), episodes, jnp.ones(EPISODES, bool))
-    transitions = sample_transitions(
-        jax.random.key(2),
-        replay,
-        COUNT,
-        her_probability=jnp.asarray(1.0),
-        her_filter=jnp.asarray(False),
-        distance_threshold=THRESHOLD,
-    )
+    transitions = HINDSIGHT.sample(jax.random.key(2), replay, COUNT, THRESHOLD)
     episode, step = np.asarray(transitions.observation).astype(int).T
     row = np.asarray(transitions.goal)[:, 0].astype(int) // GOAL
     assert (row // (LENGTH + 1) == episode).all()
@@ -103,9 +95,32 @@ def test_with_her_goals_come_uniformly_from_later_steps_and_rewards_follow() -> 
 
 
 def test_relabelled_goals_are_not_masked() -> None:
-    transitions, episodes = draw(1.0)
+    transitions, episodes = draw(HINDSIGHT)
     np.testing.assert_array_equal(transitions["goal"], transitions["next_goal"])
     assert (np.asarray(episodes.mask) == 0).any()
+
+
+def test_hindsight_with_masks_keeps_the_episodes_own() -> None:
+    transitions, episodes = draw(Future(her_k=1e6, her_masks=True))
+    episode, step = transitions["observation"].astype(int).T
+    mask = np.asarray(episodes.mask)[episode]
+    np.testing.assert_array_equal(transitions["mask"], mask)
+    now = np.asarray(episodes.achieved_goal)[episode, step]
+    np.testing.assert_array_equal(transitions["goal"][mask == 0], now[mask == 0])
+    whole, _ = draw(HINDSIGHT)
+    assert (whole["mask"] == 1).all()
+    assert (transitions["goal"] != whole["goal"]).any()
+
+
+def test_rewards_are_judged_at_the_episodes_own_threshold() -> None:
+    replay, episodes = make_replay()
+    wide = episodes.replace(threshold=jnp.where(jnp.arange(EPISODES) < 2, 1.0, THRESHOLD))
+    replay = insert(empty_replay(EPISODES, LENGTH, 2, GOAL, 2), wide, jnp.ones(EPISODES, bool))
+    transitions = OWN.sample(jax.random.key(5), replay, COUNT, THRESHOLD)
+    episode = np.asarray(transitions.observation)[:, 0]
+    reward = np.asarray(transitions.reward)
+    assert (reward[episode < 2] == 0).all()
+    assert (reward[episode >= 2] == -1).any()
 
 
 @pytest.mark.parametrize("k", [1.0, 6.0])
@@ -113,19 +128,12 @@ def test_the_share_of_relabelled_transitions_is_k_of_k_plus_one(k: float) -> Non
     replay, episodes = make_replay()
     far = episodes.replace(desired_goal=jnp.full((EPISODES, GOAL), 9.0), mask=jnp.ones((5, 3)))
     replay = insert(empty_replay(EPISODES, LENGTH, 2, GOAL, 2), far, jnp.ones(EPISODES, bool))
-    transitions = sample_transitions(
-        jax.random.key(3),
-        replay,
-        COUNT,
-        her_probability=jnp.asarray(k / (k + 1)),
-        her_filter=jnp.asarray(False),
-        distance_threshold=THRESHOLD,
-    )
+    transitions = Future(her_k=k).sample(jax.random.key(3), replay, COUNT, THRESHOLD)
     share = np.mean(np.asarray(transitions.goal)[:, 0] != 9.0)
     assert share == pytest.approx(k / (k + 1), abs=0.011)  # over four standard errors
 
 
-def draw_filtered(moved: list[bool], her_probability: float) -> tuple[np.ndarray, np.ndarray]:
+def draw_filtered(moved: list[bool], k: float) -> tuple[np.ndarray, np.ndarray]:
     """Which episodes were drawn, and whether they were relabelled.
 
     An episode that moved strays just over the least distance at a single step.
@@ -138,14 +146,10 @@ def draw_filtered(moved: list[bool], her_probability: float) -> tuple[np.ndarray
         desired_goal=jnp.full((EPISODES, GOAL), 9.0),
         mask=jnp.ones((EPISODES, GOAL)),
     )
-    transitions = sample_transitions(
-        jax.random.key(4),
-        insert(empty_replay(EPISODES + 3, LENGTH, 2, GOAL, 2), episodes, jnp.ones(EPISODES, bool)),
-        COUNT,
-        her_probability=jnp.asarray(her_probability),
-        her_filter=jnp.asarray(True),
-        distance_threshold=THRESHOLD,
-    )
+    replay = empty_replay(EPISODES + 3, LENGTH, 2, GOAL, 2)
+    replay = insert(replay, episodes, jnp.ones(EPISODES, bool))
+    filtered = Future(her_k=k, her_filter=True)
+    transitions = filtered.sample(jax.random.key(4), replay, COUNT, THRESHOLD)
     return (
         np.asarray(transitions.observation)[:, 0].astype(int),
         np.asarray(transitions.goal)[:, 0] != 9.0,
@@ -153,7 +157,7 @@ def draw_filtered(moved: list[bool], her_probability: float) -> tuple[np.ndarray
 
 
 def test_the_filter_relabels_only_episodes_that_moved_and_those_uniformly() -> None:
-    episode, relabelled = draw_filtered([False, True, False, True, True], 0.75)
+    episode, relabelled = draw_filtered([False, True, False, True, True], 3.0)
     assert relabelled.mean() == pytest.approx(0.75, abs=0.011)
     with_hindsight = np.bincount(episode[relabelled], minlength=EPISODES) / relabelled.sum()
     np.testing.assert_allclose(with_hindsight, [0, 1 / 3, 0, 1 / 3, 1 / 3], atol=0.015)
@@ -162,7 +166,7 @@ def test_the_filter_relabels_only_episodes_that_moved_and_those_uniformly() -> N
 
 
 def test_the_filter_gives_way_while_no_episode_has_moved() -> None:
-    episode, relabelled = draw_filtered([False] * EPISODES, 1.0)
+    episode, relabelled = draw_filtered([False] * EPISODES, 1e6)
     assert relabelled.all()
     counts = np.bincount(episode, minlength=EPISODES + 3) / COUNT  # never an empty slot
     np.testing.assert_allclose(counts, [0.2] * EPISODES + [0] * 3, atol=0.01)

@@ -22,6 +22,7 @@ def encoded(first: int, count: int) -> Episodes:
         action=rows(LENGTH, ACTION),
         desired_goal=jnp.asarray(np.repeat(number[:, None], GOAL, -1)),
         mask=jnp.ones((count, GOAL)),
+        threshold=jnp.asarray(number),
     )
 
 

@@ -7,11 +7,11 @@ from cgm_jax.results.figures import epochs_to_half, learning_curves, mask_label,
 
 
 def rows() -> list[dict[str, Any]]:
-    """Three seeds each of c_g 0.1 (50 % at epochs 2, 3 and never) and 0.8 (never), and no CGM."""
+    """Three seeds each of c_g 0.1 (50 % held at 3, 3 and never) and 0.8 (never), and no CGM."""
     curves = {
-        (0.1, True): [[0.2, 0.6, 0.9, 0.9], [0.0, 0.4, 0.5, 0.7], [0.0, 0.0, 0.1, 0.2]],
+        (0.1, True): [[0.4, 0.6, 0.9, 0.9], [0.3, 0.6, 0.6, 0.7], [0.0, 0.0, 0.1, 0.2]],
         (0.8, True): [[0.0, 0.1, 0.2, 0.3]] * 3,
-        (0.0, False): [[0.0, 0.0, 0.0, 0.5]] * 3,
+        (0.0, False): [[0.3, 0.5, 0.5, 0.5]] * 3,
     }
     return [
         {
@@ -41,7 +41,7 @@ def line(panel: Any, label: str) -> np.ndarray:
 
 def test_epochs_to_half_shows_medians_over_seeds_and_the_baseline() -> None:
     (panel,) = epochs_to_half(rows()).axes
-    # Unreached runs stand at the last epoch; the median of (2, 3, never) is 3.
+    # Unreached runs stand at the last epoch; the median of (3, 3, never) is 3.
     np.testing.assert_allclose(line(panel, "$\\kappa$ = 32"), [[10, 3], [80, 4]])
     assert line(panel, "no CGM")[:, 1].tolist() == [4, 4]
     assert panel.get_xlabel() == "target success rate $c_g$ (%)"
@@ -58,9 +58,9 @@ def test_epochs_to_half_marks_no_end_where_all_medians_get_there() -> None:
 
 def test_learning_curves_show_medians_over_seeds() -> None:
     (panel,) = learning_curves(rows()).axes
-    expected = np.column_stack([[1000, 2000, 3000, 4000], [0.0, 0.4, 0.5, 0.7]])
+    expected = np.column_stack([[1000, 2000, 3000, 4000], [0.3, 0.6, 0.6, 0.7]])
     np.testing.assert_allclose(line(panel, "$c_g$ = 10 %"), expected)
-    np.testing.assert_allclose(line(panel, "no CGM")[:, 1], [0, 0, 0, 0.5])
+    np.testing.assert_allclose(line(panel, "no CGM")[:, 1], [0.3, 0.5, 0.5, 0.5])
 
 
 def test_a_run_that_diverged_is_marked_where_it_did() -> None:
@@ -70,8 +70,8 @@ def test_a_run_that_diverged_is_marked_where_it_did() -> None:
     ]
     (panel,) = learning_curves(diverged).axes
     (cross,) = [one for one in panel.get_lines() if one.get_marker() == "x"]
-    np.testing.assert_allclose(np.array(cross.get_xydata()), [[2000, 0.4]])
-    np.testing.assert_allclose(line(panel, "$c_g$ = 10 % (1 diverged)")[:, 1], [0, 0.4, 0.5, 0.7])
+    np.testing.assert_allclose(np.array(cross.get_xydata()), [[2000, 0.6]])
+    np.testing.assert_allclose(line(panel, "$c_g$ = 10 % (1 diverged)")[:, 1], [0.3, 0.6, 0.6, 0.7])
     (panel,) = epochs_to_half(diverged).axes
     assert len(line(panel, "$\\kappa$ = 32 (1 diverged)")) == 2
 
@@ -80,7 +80,7 @@ def test_uniform_masks_are_not_taken_for_no_curriculum() -> None:
     uniform = [{**row, "kappa": 0.0} if row["cgm"] else row for row in rows()]
     (panel,) = learning_curves(uniform).axes
     assert panel.get_title() == "reach, DDPG + HER, $\\kappa$ = 0"
-    assert line(panel, "no CGM")[:, 1].tolist() == [0, 0, 0, 0.5]
+    assert line(panel, "no CGM")[:, 1].tolist() == [0.3, 0.5, 0.5, 0.5]
     assert line(panel, "$c_g$ = 10 %")[-1, 1] == 0.7
 
 

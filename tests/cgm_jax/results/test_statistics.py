@@ -1,15 +1,39 @@
 import math
 
+import numpy as np
 import pytest
 
-from cgm_jax.results.statistics import first_to_reach, quartiles, wilson_interval
+from cgm_jax.results.statistics import first_to_hold, holds, quartiles, wilson_interval
 
 
-def test_a_quartile_between_arrival_and_none_is_none() -> None:
-    assert quartiles([5.0, 1.0, 3.0, 2.0, 4.0]) == (2.0, 3.0, 4.0)
-    assert quartiles([1.0, math.inf]) == (math.inf, math.inf, math.inf)
-    assert quartiles([math.inf, 2.0, 1.0]) == (2.0, 2.0, math.inf)
+def test_quartiles_are_interpolated_as_numpy_does() -> None:
+    assert quartiles([4.0, 1.0, 3.0, 2.0]) == (1.75, 2.5, 3.25)
     assert quartiles([7.0]) == (7.0, 7.0, 7.0)
+    for count in range(1, 9):
+        values = np.random.default_rng(count).uniform(0.0, 100.0, count)
+        np.testing.assert_allclose(quartiles(list(values)), np.quantile(values, (0.25, 0.5, 0.75)))
+
+
+def test_what_is_interpolated_towards_a_run_that_never_arrived_is_infinite() -> None:
+    assert quartiles([1.0, math.inf]) == (math.inf, math.inf, math.inf)
+    assert quartiles([math.inf, 2.0, 1.0]) == (1.5, 2.0, math.inf)
+    assert quartiles([1.0, 2.0, 3.0, 4.0, math.inf]) == (2.0, 3.0, 4.0)
+    assert quartiles([math.inf] * 3) == (math.inf, math.inf, math.inf)
+
+
+def test_a_success_is_held_by_the_mean_of_three_evaluations() -> None:
+    rows = [{"success_rate": rate} for rate in (0.9, None, 0.3, 0.4, 0.9)]
+    assert first_to_hold(rows, 0.5) is rows[4]  # means 0.4, 0.233, 0.533
+    assert first_to_hold(rows, 0.4) is rows[2]
+    assert first_to_hold(rows, 0.6) is None
+    assert first_to_hold(rows[:2], 0.1) is None  # two evaluations hold nothing
+
+
+def test_rounding_does_not_decide_whether_a_success_is_held() -> None:
+    rates = [0.94, 0.86, 0.90]  # 47, 43 and 45 of 50
+    assert sum(rates) / 3 < 0.9 == sum((47, 43, 45)) / 150
+    assert holds(rates, 0.9)
+    assert not holds([0.94, 0.86, 0.88], 0.9)
 
 
 def test_wilson_interval_by_hand() -> None:
@@ -20,9 +44,3 @@ def test_wilson_interval_by_hand() -> None:
     assert (low, high) == (0.0, pytest.approx(0.1611, abs=1e-4))
     with pytest.raises(ValueError, match="at least one trial"):
         wilson_interval(0, 0)
-
-
-def test_first_to_reach() -> None:
-    rows = [{"success_rate": rate} for rate in (0.1, None, 0.5, 0.4, 0.9)]
-    assert first_to_reach(rows, 0.5) is rows[2]
-    assert first_to_reach(rows, 0.95) is None

@@ -1,0 +1,167 @@
+"""A sweep in a process of its own that runs one epoch at a time, and what each epoch takes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NoReturn, Self
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.measuring.checkouts import Checkout
+
+POLL_SECONDS = 0.005
+TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
+
+
+class MeasurementError(Exception):
+    """Something could not be measured; the message says what and why."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a stretch of training took.
+
+    Attributes:
+        wall_s: seconds during which the process was allowed to run.
+        cpu_s: CPU seconds of all its threads, in user and system mode.
+        env_steps: environment steps of each run, training only.
+    """
+
+    wall_s: float
+    cpu_s: float
+    env_steps: int
+
+
+class TrainingProcess:
+    """A sweep of a checkout, from its start to the end of the block.
+
+    Between two calls of `train_epoch` the process is paused, so that another one can have the
+    machine; its memory stays. Its own clock runs on meanwhile, so time is taken here instead of
+    from `wall_s`. It compiles everything anew. Known of the checkout are only its command line
+    and `epoch` and `env_steps` in metrics.jsonl.
+    """
+
+    def __init__(self, checkout: Checkout, options: Sequence[str], directory: Path) -> None:
+        """Prepare `python -m cgm_jax.sweep` with options; it writes into `directory`."""
+        self._checkout = checkout
+        self._options = options
+        self._directory = directory
+        self._metrics = directory / "sweep" / "metrics.jsonl"
+        self._epoch = 0
+        self._env_steps = 0
+        self._cpu_s = 0.0
+
+    def __enter__(self) -> Self:
+        self._directory.mkdir()
+        cache = {"JAX_COMPILATION_CACHE_DIR": str(self._directory / "cache")}
+        out = ["--out", str(self._metrics.parent)]
+        with (
+            (self._directory / "stdout").open("w") as stdout,
+            (self._directory / "stderr").open("w") as stderr,
+        ):
+            self._resumed = time.monotonic()
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "cgm_jax.sweep", *self._options, *out],
+                cwd=self._checkout.root,
+                env={**self._checkout.environment(), **cache},
+                stdin=subprocess.DEVNULL,
+                stdout=stdout,
+                stderr=stderr,
+                # Signals of the terminal are for us. If we are killed while it is paused, its
+                # group is orphaned and the system ends it with SIGHUP.
+                process_group=0,
+            )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+    def train_epoch(self) -> Cost:
+        """Run until a further epoch is in metrics.jsonl, then pause.
+
+        The first call includes the start. Epochs that are over before the first is noticed
+        count as one.
+
+        Raises:
+            MeasurementError: there are no further epochs, or the process has failed.
+            SettingError: it has refused its options.
+        """
+        if self._epoch:
+            self._resumed = time.monotonic()
+            os.killpg(self._process.pid, signal.SIGCONT)
+        row = self._wait_for_row()
+        wall_s, cpu_s = self._pause()
+        cost = Cost(wall_s, cpu_s - self._cpu_s, row["env_steps"] - self._env_steps)
+        self._epoch, self._env_steps, self._cpu_s = row["epoch"], row["env_steps"], cpu_s
+        return cost
+
+    def runs(self) -> int:
+        """How many runs train side by side, known after two epochs."""
+        rows = self._rows()
+        return sum(row["epoch"] == rows[0]["epoch"] for row in rows)
+
+    def _pause(self) -> tuple[float, float]:
+        """Pause; wall seconds since it was resumed, and CPU seconds since it was started."""
+        os.killpg(self._process.pid, signal.SIGSTOP)
+        wall_s = time.monotonic() - self._resumed
+        while True:
+            state, cpu_s = process_times(self._process.pid)
+            if state == "T":
+                return wall_s, cpu_s
+            if state == "Z":
+                self._give_up(self._process.wait())
+            time.sleep(POLL_SECONDS / 10)
+
+    def _wait_for_row(self) -> dict[str, Any]:
+        """The last row of metrics.jsonl, once it is of a further epoch."""
+        seen = 0
+        while True:
+            if (code := self._process.poll()) is not None:
+                self._give_up(code)
+            size = self._metrics.stat().st_size if self._metrics.exists() else 0
+            if size != seen and (rows := self._rows()):
+                if rows[-1]["epoch"] > self._epoch:
+                    return rows[-1]
+                if rows[-1]["epoch"] < self._epoch:  # it has gone on to other runs
+                    self._give_up(ExitCode.DONE)
+            seen = size
+            time.sleep(POLL_SECONDS)
+
+    def _give_up(self, code: int) -> NoReturn:
+        """Say why there are no further epochs of the same runs."""
+        said = "".join((self._directory / "stderr").read_text().strip().splitlines()[-1:])
+        where = f"{' '.join(['cgm_jax.sweep', *self._options])} at {self._checkout.commit}"
+        if code == ExitCode.BAD_INPUT:
+            raise SettingError(f"options: {where}: {said.removeprefix('error: ')}")
+        if code == ExitCode.DONE:
+            raise MeasurementError(
+                f"{where} trains its runs side by side for {self._epoch} epochs only; "
+                "give it more --epochs, or time fewer"
+            )
+        raise MeasurementError(f"{where} ended with exit code {code}: {said}")
+
+    def _rows(self) -> list[dict[str, Any]]:
+        """All whole lines of metrics.jsonl."""
+        lines = self._metrics.read_text().splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+
+def process_times(pid: int) -> tuple[str, float]:
+    """State of a process (R, S, T, Z ...), and the CPU seconds of it and its ended children."""
+    text = Path(f"/proc/{pid}/stat").read_text()
+    fields = text.rpartition(")")[2].split()  # the name before it may hold anything
+    return fields[0], sum(int(ticks) for ticks in fields[11:15]) / TICKS_PER_SECOND

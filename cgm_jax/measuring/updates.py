@@ -1,0 +1,88 @@
+"""Network updates against a large matrix product."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.agents.ddpg import DDPG
+from cgm_jax.agents.protocol import Minibatch
+from cgm_jax.config.sizes import Sizes
+from cgm_jax.measuring.figures import Figure, medians
+from cgm_jax.measuring.workload import cpu_group
+
+INPUTS, ACTIONS = 28, 4
+"""Of push and pick-and-place."""
+
+
+def measure_updates(repeats: int) -> list[Figure]:
+    """Floating-point rate of the network updates against that of a large matrix product.
+
+    Of the paper's networks with several batches, and of the cpu preset.
+    """
+    count, size = 10, 2048
+    matrix = jax.random.normal(jax.random.key(0), (size, size))
+    product = jax.jit(lambda matrix: matrix @ matrix)
+    paper = DDPG(target_update_every=1)
+    preset = cpu_group("push").runs[0].hyper.agent
+    narrow = dataclasses.replace(
+        paper,
+        hidden_layers=preset.hidden_layers,
+        actor_update_every=preset.actor_update_every,
+    )
+    sizes = Sizes(
+        observation=INPUTS - 3,
+        goal=3,
+        action=ACTIONS,
+        inputs=INPUTS,
+        episode_length=50,
+        distance_threshold=0.05,
+        environments=16,
+        evaluation_episodes=20,
+        updates_per_cycle=count,
+        critics=1,
+        starts=None,
+    )
+    figures, peak = [], 0.0
+    for ddpg, batch_size in (*((paper, size) for size in (256, 512, 1024)), (narrow, 512)):
+        agent = ddpg.init(jax.random.key(1), sizes)
+        inputs = jax.random.normal(jax.random.key(2), (count, batch_size, INPUTS))
+        action, reward = jnp.tanh(inputs[..., :ACTIONS]), -jnp.ones(inputs.shape[:2])
+        batches = Minibatch(inputs, action, reward, inputs)
+
+        updates = jax.jit(
+            lambda agent, batches, ddpg=ddpg: ddpg.train(agent, batches, jax.random.key(3))[0]
+        )
+        update_seconds, product_seconds = medians(
+            [
+                lambda agent=agent, batches=batches, updates=updates: jax.block_until_ready(
+                    updates(agent, batches)
+                ),
+                lambda: product(matrix).block_until_ready(),
+            ],
+            repeats,
+        )
+        rate = count * _update_operations(ddpg, batch_size) / update_seconds
+        peak = 2 * size**3 / product_seconds
+        name = f"update, {len(ddpg.hidden_layers)} x {ddpg.hidden_layers[0]}, batch {batch_size}"
+        figures += [
+            Figure(f"{name} / matrix product", rate / peak, "", low=0.5),
+            Figure("  one update", 1e3 * update_seconds / count, "ms"),
+        ]
+    return [*figures, Figure("  matrix product", peak / 1e9, "GFLOP/s")]
+
+
+def _update_operations(ddpg: DDPG, batch_size: int) -> float:
+    """Floating-point operations in the matrix products of one update, on average."""
+
+    def products(input_size: int, output_size: int) -> int:
+        widths = [input_size, *ddpg.hidden_layers, output_size]
+        return sum(a * b for a, b in itertools.pairwise(widths))
+
+    actor = products(INPUTS, ACTIONS)
+    critic = products(INPUTS + ACTIONS, 1)
+    # Targets: one pass each. Critic loss: forward, and gradients to weights and activations.
+    # Actor loss: the same for the actor; the critic forward, and its gradient to the action.
+    of_actor = (actor * 3 + critic * 2) / ddpg.actor_update_every
+    return 2.0 * batch_size * (actor + critic * (1 + 3) + of_actor)

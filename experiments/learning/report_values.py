@@ -1,0 +1,189 @@
+"""Numbers in sentences of the report about learning, from the records."""
+
+import math
+from collections.abc import Callable
+
+from cgm_jax.results.statistics import first_to_hold
+from experiments.learning.plans import read_plans, runs_of
+from experiments.learning.records import SWEEPS, recorded_runs
+from experiments.learning.setting import NO_MASKS
+from experiments.learning.tables import (
+    env_steps_to_hold,
+    final_success,
+    only_setting,
+    runs_by_setting,
+)
+from experiments.markdown import counted, in_words, percent
+from experiments.table import read_table
+
+FULL_GOAL = 7
+"""Of three dimensions, the mask that keeps all."""
+
+
+def number_of_trials() -> str:
+    """How many trials of settings there are notes of."""
+    return str(len(_trials()))
+
+
+def undecided_trials() -> str:
+    """Of trials that never reached 50 %, those stopped before a run like it without the change.
+
+    "11 of 17": a change is compared with the latest 50 % of a run with the same task, networks and
+    updates of the actor, and no change.
+    """
+    baselines: dict[tuple[str, ...], int] = {}
+    alike = ("env", "cgm", "layers", "actor_update_every")
+    for row in _trials():
+        if row["change"] == "none" and row["env_steps_to_50"]:
+            key = tuple(row[name] for name in alike)
+            baselines[key] = max(baselines.get(key, 0), int(row["env_steps_to_50"]))
+    never = [
+        (int(row["stopped_at"]), baselines.get(tuple(row[name] for name in alike)))
+        for row in _trials()
+        if row["change"] != "none" and not row["env_steps_to_50"]
+    ]
+    early = sum(baseline is None or stopped <= baseline for stopped, baseline in never)
+    return f"{early} of {len(never)}"
+
+
+def _trials() -> list[dict[str, str]]:
+    return read_table(SWEEPS.parent / "cpu_settings" / "tried.csv")
+
+
+def records_of(question: str) -> str:
+    """Links to the learning curves of a question's sweeps that are on record."""
+    sweeps = [
+        f"[{sweep}](results/sweeps/{sweep}/learning.csv)"
+        for sweep in read_plans().questions[question].sweeps
+        if recorded_runs(sweep)
+    ]
+    return ", ".join(sweeps) or "none yet"
+
+
+def not_trained(question: str) -> str:
+    """The sweeps of a question that are not on record."""
+    sweeps = read_plans().questions[question].sweeps
+    return ", ".join(f"`{sweep}`" for sweep in sweeps if not recorded_runs(sweep)) or "nothing"
+
+
+def held_by(sweep: str, level: str) -> str:
+    """How many seeds hold a success, such as "five of five seeds"."""
+    runs = only_setting(sweep)
+    held = sum(math.isfinite(env_steps_to_hold(run, int(level) / 100)) for run in runs)
+    return f"{in_words(held)} of {counted(len(runs), 'seed')}"
+
+
+def sooner(one: str, other: str, level: str) -> str:
+    """In how many seeds one sweep holds a success before the other, "five of five seeds"."""
+    steps = [
+        {run.seed: env_steps_to_hold(run, int(level) / 100) for run in only_setting(sweep)}
+        for sweep in (one, other)
+    ]
+    seeds = steps[0].keys() & steps[1].keys()
+    won = sum(steps[0][seed] < steps[1][seed] for seed in seeds)
+    return f"{in_words(won)} of {counted(len(seeds), 'seed')}"
+
+
+def held_at(question: str, env: str, c_g: str, kappa: str) -> str:
+    """How many seeds of a point of a grid hold 50 %, such as "none of three seeds"."""
+    (seeds,) = (
+        seeds
+        for setting, seeds in runs_by_setting(runs_of(question)).items()
+        if (setting.env, setting.c_g, setting.kappa) == (env, float(c_g), float(kappa))
+    )
+    held = sum(math.isfinite(env_steps_to_hold(run, 0.5)) for run in seeds.values())
+    return f"{in_words(held)} of {counted(len(seeds), 'seed')}"
+
+
+def points_sooner(question: str, env: str) -> str:
+    """At how many points of a grid every seed holds 50 % before its run without masks."""
+    settings = {s: runs for s, runs in runs_by_setting(runs_of(question)).items() if s.env == env}
+    (plain,) = (runs for setting, runs in settings.items() if setting.masks == NO_MASKS)
+    points = [runs for setting, runs in settings.items() if setting.c_g is not None]
+    sooner_points = sum(
+        all(env_steps_to_hold(runs[i], 0.5) < env_steps_to_hold(plain[i], 0.5) for i in runs)
+        for runs in points
+    )
+    return f"{sooner_points} of {counted(len(points), 'point')}"
+
+
+def budget(sweep: str) -> str:
+    """Environment steps that runs of a sweep were to train for."""
+    return f"{max(run.budget for run in recorded_runs(sweep)):,}"
+
+
+def latest(sweep: str, level: str) -> str:
+    """Environment steps until the last seed holds a success."""
+    return f"{max(_finite_steps(sweep, level)):,.0f}"
+
+
+def earliest(sweep: str, level: str) -> str:
+    """Environment steps until the first seed holds a success."""
+    return f"{min(_finite_steps(sweep, level)):,.0f}"
+
+
+def _finite_steps(sweep: str, level: str) -> list[float]:
+    steps = [env_steps_to_hold(run, int(level) / 100) for run in only_setting(sweep)]
+    if not all(map(math.isfinite, steps)):
+        raise ValueError(f"{sweep}: not all seeds hold {level} %")
+    return steps
+
+
+def seconds(sweep: str, level: str) -> str:
+    """From when to when seeds hold a success, in seconds since training began."""
+    runs = only_setting(sweep)
+    _finite_steps(sweep, level)
+    if not all(run.alone for run in runs):
+        raise ValueError(f"{sweep}: runs trained side by side have no seconds of their own")
+    rows = [first_to_hold(run.rows, int(level) / 100) for run in runs]
+    walls = [row["wall_s"] for row in rows if row]
+    return f"{min(walls):.0f} to {max(walls):.0f}"
+
+
+def end(sweep: str) -> str:
+    """Mean success of the last three evaluations, from the worst to the best seed."""
+    ends = sorted(final_success(run) for run in only_setting(sweep))
+    low, high = f"{100 * ends[0]:.4g}", percent(ends[-1], 1)
+    return f"{low} to {high}" if ends[0] != ends[-1] else high
+
+
+def probability_of_full_goal(sweep: str) -> str:
+    """How often the full goal is drawn when all estimates are 100 %."""
+    drawn = {
+        row["mask_probability"][FULL_GOAL]
+        for run in recorded_runs(sweep)
+        for row in run.rows
+        if row["mask_rate_estimated"] and set(row["mask_rate_estimated"]) == {1.0}
+    }
+    low, high = percent(min(drawn), 1), percent(max(drawn), 1)
+    return high if low == high else f"{low} to {high}"
+
+
+def smallest_p(pairs: str) -> str:
+    """The smallest p-value that an exact two-sided test of so many pairs can give."""
+    return f"{2 / 2 ** int(pairs):.2g}"
+
+
+def standard_error(episodes: str) -> str:
+    """Of a success rate of 50 % from so many episodes, in points."""
+    return f"{100 * math.sqrt(0.25 / int(episodes)):.0f}"
+
+
+VALUES: dict[str, Callable[..., str]] = {
+    "records_of": records_of,
+    "not_trained": not_trained,
+    "held_by": held_by,
+    "sooner": sooner,
+    "held_at": held_at,
+    "points_sooner": points_sooner,
+    "budget": budget,
+    "latest": latest,
+    "earliest": earliest,
+    "seconds": seconds,
+    "end": end,
+    "probability_of_full_goal": probability_of_full_goal,
+    "smallest_p": smallest_p,
+    "standard_error": standard_error,
+    "number_of_trials": number_of_trials,
+    "undecided_trials": undecided_trials,
+}

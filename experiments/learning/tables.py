@@ -1,0 +1,143 @@
+"""Tables of learning: how soon runs hold a success, and where they end."""
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cgm_jax.results.statistics import HOLDING_EVALUATIONS, first_to_hold, quartiles
+from experiments.learning.records import RecordedRun, Row, recorded_runs
+from experiments.learning.setting import Setting
+
+LEVELS = (0.5, 0.9)
+
+Runs = Sequence[RecordedRun]
+
+
+def runs_by_setting(runs: Runs) -> dict[Setting, dict[int, RecordedRun]]:
+    """Runs by setting and seed, in order of seeds.
+
+    Raises:
+        ValueError: two runs share a setting and a seed.
+    """
+    settings: dict[Setting, dict[int, RecordedRun]] = defaultdict(dict)
+    for run in sorted(runs, key=lambda run: run.seed):
+        if other := settings[run.setting].get(run.seed):
+            raise ValueError(f"{run.sweep} and {other.sweep} hold the same run, seed {run.seed}")
+        settings[run.setting][run.seed] = run
+    in_order = dict.fromkeys(run.setting for run in runs)
+    return {setting: settings[setting] for setting in in_order}
+
+
+def only_setting(sweep: str) -> list[RecordedRun]:
+    """The runs of a sweep that has one setting.
+
+    Raises:
+        ValueError: it has several, or no record.
+    """
+    settings = runs_by_setting(recorded_runs(sweep))
+    if len(settings) != 1:
+        raise ValueError(f"{sweep}: holds {len(settings)} settings, not one")
+    (seeds,) = settings.values()
+    return list(seeds.values())
+
+
+def env_steps_to_hold(run: RecordedRun, level: float) -> float:
+    """Environment steps until a run holds a success; infinite if it never does."""
+    row = first_to_hold(run.rows, level)
+    return row["env_steps"] if row else math.inf
+
+
+def is_settled(run: RecordedRun, level: float) -> bool:
+    """Whether a run was trained far enough to tell if it holds a success."""
+    leave_at = run.settings["leave_at"]
+    return leave_at is None or level <= leave_at
+
+
+def left_early(run: RecordedRun) -> bool:
+    """Whether a run left before its end, since it held the success that it was trained for."""
+    return run.rows[-1]["env_steps"] < run.budget
+
+
+def final_success(run: RecordedRun) -> float:
+    """Mean success of a run's last evaluations, as many as it takes to hold a success."""
+    rates = [row["success_rate"] or 0.0 for row in run.rows[-HOLDING_EVALUATIONS:]]
+    return round(float(np.mean(rates)), 3)
+
+
+def learning_speed(runs: Runs) -> list[Row]:
+    """Per setting: how soon its seeds hold 50 and 90 % success, and where they end.
+
+    Of every seed the environment steps, and the seconds where it trained alone; a dash where it
+    never holds the level. Medians and quartiles are interpolated; a dash where they lie between a
+    run that arrived and one that did not. Empty is what lies beyond the success at which runs left.
+    """
+    table = []
+    for setting, seeds in runs_by_setting(runs).items():
+        same = list(seeds.values())
+        entry: Row = {**setting._asdict(), "seeds": " ".join(map(str, seeds))}
+        for level in LEVELS:
+            arrivals = _arrivals(same, level)
+            if not all(is_settled(run, level) for run in same):
+                arrivals = dict.fromkeys(arrivals, "")
+            entry |= {f"{name}_{100 * level:.0f}": value for name, value in arrivals.items()}
+        entry["final_success"] = " ".join(
+            "left" if left_early(run) else str(final_success(run)) for run in same
+        )
+        entry["trained_to"] = max(run.rows[-1]["env_steps"] for run in same)
+        table.append(entry)
+    return table
+
+
+def _arrivals(runs: Runs, level: float) -> Row:
+    """When runs hold a success; the names end where the level goes."""
+    steps = [env_steps_to_hold(run, level) for run in runs]
+    rows = [first_to_hold(run.rows, level) for run in runs]
+    seconds = [row["wall_s"] if row else math.inf for row in rows]
+    low, median, high = quartiles(steps)
+    return {
+        "held_by": sum(row is not None for row in rows),
+        "env_steps_to": " ".join(map(dash_or_number, steps)),
+        "median_to": dash_or_number(median),
+        "low_quartile_to": dash_or_number(low),
+        "high_quartile_to": dash_or_number(high),
+        "wall_s_to": " ".join(map(dash_or_number, seconds))
+        if all(run.alone for run in runs)
+        else "",
+    }
+
+
+def dash_or_number(value: float) -> str:
+    """A whole number, or a dash for what never came."""
+    return f"{value:.0f}" if math.isfinite(value) else "-"
+
+
+def metrics_of(runs: Runs) -> list[Row]:
+    """The metrics rows of all runs, as figures take them."""
+    return [row for run in runs for row in run.rows]
+
+
+def window_means(
+    runs: Runs, ends: Sequence[int], value: str, mask: int | None = None
+) -> Mapping[int, float]:
+    """Mean of a metric over the epochs of all runs up to each end and beyond the one before.
+
+    Args:
+        runs: of one setting.
+        ends: environment steps.
+        value: name of the metric; epochs where it is unknown are left out.
+        mask: which mask, of a metric per mask.
+
+    Returns:
+        Mean by end, NaN where the metric is unknown throughout.
+    """
+    known: dict[int, list[float]] = {end: [] for end in ends}
+    for row in metrics_of(runs):
+        number = row.get(value)
+        if isinstance(number, list):
+            number = number[mask if mask is not None else -1] if number else None
+        end = next((end for end in ends if row["env_steps"] <= end), None)
+        if number is not None and end is not None:
+            known[end].append(number)
+    return {end: float(np.mean(values)) if values else math.nan for end, values in known.items()}

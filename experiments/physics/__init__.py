@@ -1,0 +1,16 @@
+"""Questions of physics: are these the Fetch tasks that people know?
+
+Programs, each `python -m experiments.physics.NAME`:
+
+    fidelity.py                replays episodes recorded from Gymnasium-Robotics
+    timestep.py                which timestep is close to the recording, and how fast it is
+    doing_nothing.py           how often goals are achieved by doing nothing
+    transfer.py                plays trained policies in Gymnasium-Robotics and here
+    gymnasium_policy.py        its half that runs where gymnasium-robotics is installed
+    gymnasium_sensitivity.py   how far Gymnasium-Robotics strays from itself (runs there too)
+
+What they share:
+
+    scripted.py                controllers written by hand, which solve the tasks
+    report_tables.py           tables of the report, from what the programs wrote
+"""

@@ -1,0 +1,25 @@
+import jax.numpy as jnp
+import numpy as np
+
+from cgm_jax.curricula.goals import apply_mask, is_achieved, masked_distance
+
+
+def test_masked_goals_keep_the_goal_where_the_mask_does() -> None:
+    goal, achieved = jnp.array([1.0, 2.0, 3.0]), jnp.array([7.0, 8.0, 9.0])
+    masked = apply_mask(goal, jnp.array([1.0, 0.0, 1.0]), achieved)
+    np.testing.assert_array_equal(masked, [1, 8, 3])
+    np.testing.assert_array_equal(apply_mask(goal, jnp.ones(3), achieved), goal)
+    np.testing.assert_array_equal(apply_mask(goal, jnp.zeros(3), achieved), achieved)
+
+
+def test_masked_distance_is_over_kept_dimensions() -> None:
+    goal, achieved = jnp.array([3.0, 5.0, 4.0]), jnp.array([0.0, 100.0, 0.0])
+    assert float(masked_distance(goal, jnp.array([1.0, 0.0, 1.0]), achieved)) == 5.0
+    assert float(masked_distance(goal, jnp.zeros(3), achieved)) == 0.0
+
+
+def test_a_goal_is_achieved_below_its_threshold() -> None:
+    goal, achieved = jnp.array([[3.0, 0.0]] * 3), jnp.zeros((3, 2))
+    masks = jnp.array([[1.0, 1.0], [1.0, 1.0], [0.0, 1.0]])
+    reached = is_achieved(goal, masks, achieved, jnp.array([3.0, 3.1, 0.1]))
+    np.testing.assert_array_equal(reached, [False, True, True])
