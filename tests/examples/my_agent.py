@@ -1,10 +1,6 @@
-"""Imitation in hindsight: an agent of one's own, in one file (Ghosh et al. 2021, "GCSL").
+"""Imitation in hindsight (Ghosh et al. 2021): an agent of one's own, in one file.
 
-Whatever an episode reached later was reached by its actions: so they are right for that goal.
-
-    loss: |pi(s, g) - a|^2      (needs HER, which relabels transitions with goals reached later)
-
-Train it with
+    loss: |pi(s, g) - a|^2, where HER has chosen a goal g that a led to
 
     python -m cgm_jax.train --agent tests/examples/my_agent.py:MyAgent --set width=128
 """
