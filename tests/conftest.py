@@ -6,4 +6,10 @@ import os
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+from jaxtyping import install_import_hook
+
+# Shapes and types that annotations of these modules tell are checked at every call in tests.
+CHECKED = ("cgm_jax.agents.networks", "cgm_jax.curricula.goals")
+install_import_hook(CHECKED, "beartype.beartype")
+
+import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax

@@ -6,6 +6,7 @@ from typing import Any
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 Parameters = Any
 
@@ -88,7 +89,9 @@ def initial_critic(
     return Critic(hidden_layers).init(key, jnp.zeros(inputs), jnp.zeros(actions))
 
 
-def apply_actor(parameters: Parameters, inputs: jax.Array) -> jax.Array:
+def apply_actor(
+    parameters: Parameters, inputs: Float[Array, "*batch inputs"]
+) -> Float[Array, "*batch action"]:
     """The action [..., action_size] of an actor for inputs [..., input_size]."""
     *hidden, actions = _widths(parameters)
     return Actor(hidden, actions).apply(parameters, inputs)  # pyright: ignore[reportReturnType]
@@ -110,7 +113,11 @@ def mean_actor(parameters: Parameters) -> Parameters:
     return {"params": layers}
 
 
-def apply_critic(parameters: Parameters, inputs: jax.Array, action: jax.Array) -> jax.Array:
+def apply_critic(
+    parameters: Parameters,
+    inputs: Float[Array, "*batch inputs"],
+    action: Float[Array, "*batch action"],
+) -> Float[Array, "*batch"]:
     """A critic's estimate [...] of the return of actions in inputs."""
     hidden = _widths(parameters)[:-1]
     return Critic(hidden).apply(parameters, inputs, action)  # pyright: ignore[reportReturnType]

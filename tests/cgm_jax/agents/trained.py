@@ -4,6 +4,7 @@ import functools
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from cgm_jax.config.components import builtin, component
@@ -45,18 +46,21 @@ def trained(agent: str) -> Trained:
     runs = {"": tiny(agent=agent)}
     for item in declared(component("agent", agent)):
         if item.metadata["traced"]:
-            runs[item.name] = tiny(agent=agent, **{item.name: 0.5 * item.default})
+            half = 0.5 * getattr(runs[""].agent, item.name)
+            runs[item.name] = tiny(agent=agent, **{item.name: half})
         if item.name.endswith("learning_rate"):
             runs[f"diverging {item.name}"] = tiny(agent=agent, **{item.name: 1e30})
     hyper = stack(list(runs.values()))
     programs = make_programs(make_trainer(PointMass(), TINY))
-    states, failure = [programs.start(hyper)], np.zeros(len(runs))
-    states[0] = on_host(states[0])
-    for _ in range(2):
-        state, metrics = programs.evaluate(programs.train(on_host(states[-1]), hyper, 2), hyper)
-        states.append(on_host(state))
-        failure = np.asarray(metrics["failure"])
-    return Trained(programs, list(runs), hyper, *states, failure)
+
+    def epoch(state: TrainingState) -> tuple[TrainingState, np.ndarray]:
+        state, metrics = programs.evaluate(programs.train(on_host(state), hyper, 2), hyper)
+        return on_host(state), np.asarray(metrics["failure"])
+
+    start = on_host(programs.start(hyper))
+    first, _ = epoch(start)
+    second, failure = epoch(first)
+    return Trained(programs, list(runs), hyper, start, first, second, failure)
 
 
 def on_host(state: TrainingState) -> TrainingState:
@@ -74,4 +78,4 @@ def bits(tree: Any) -> list[np.ndarray]:
 
 def is_key(leaf: Any) -> bool:
     """Whether a leaf is a key of JAX's."""
-    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
