@@ -15,10 +15,10 @@ from cgm_jax.envs.tasks import Task
 OFFSET_RANGE = 0.15
 """Object and goal lie within this of the initial grip position, in x and in y (m)."""
 
-LEAST_OBJECT_DISTANCE = 0.1
+MIN_OBJECT_DISTANCE = 0.1
 """Horizontal distance of the object from the initial grip position, at least (m)."""
 
-GREATEST_GOAL_HEIGHT = 0.45
+MAX_GOAL_HEIGHT = 0.45
 """A goal in the air lies up to this above the object's resting height (m)."""
 
 
@@ -112,7 +112,7 @@ class FetchEnvironment(Env):
         reset gets the last draw.
         """
         draws = jax.random.uniform(key, (32, 2), minval=-OFFSET_RANGE, maxval=OFFSET_RANGE)
-        accepted = jnp.linalg.norm(draws, axis=-1) >= LEAST_OBJECT_DISTANCE
+        accepted = jnp.linalg.norm(draws, axis=-1) >= MIN_OBJECT_DISTANCE
         first = jnp.where(accepted.any(), jnp.argmax(accepted), len(draws) - 1)
         return jnp.asarray(self.scene.grip_home[:2], jnp.float32) + draws[first]
 
@@ -123,7 +123,7 @@ class FetchEnvironment(Env):
         goal = jnp.asarray(self.scene.grip_home, jnp.float32) + offset
         if self.scene.object_home is None:
             return goal
-        height = jnp.where(air < self.air_probability, GREATEST_GOAL_HEIGHT * height, 0.0)
+        height = jnp.where(air < self.air_probability, MAX_GOAL_HEIGHT * height, 0.0)
         return goal.at[2].set(self.scene.object_home[2] + height)
 
     def _state(self, physics_state: PhysicsState, desired_goal: jax.Array) -> State:

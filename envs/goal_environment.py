@@ -21,6 +21,10 @@ class GoalEnvironment(Protocol):
     An engine that detects broken physics sets `State.metrics["physics_warnings"]` to
     something above 0; the trainer then drops the episode, as it drops non-finite ones.
 
+    Reward, done and the other metrics may be anything, and differ between `reset` and `step`. The
+    goal stays what it was for the whole episode; and what an environment keeps for itself, in
+    `pipeline_state`, in `info` or in further entries of `obs`, keeps its shapes.
+
     Attributes:
         action_size: number of action dimensions, each in [-1, 1].
         episode_length: steps per episode, T.

@@ -1,10 +1,17 @@
 """Settings for all tests; imported by pytest before anything of JAX."""
 
+import atexit
 import os
+import shutil
+import tempfile
 
 # Tests compile many small programs and run them briefly.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+# What tests name on their command lines is not named by whoever runs them.
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="cgm_jax-tests-")
+atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
 from jaxtyping import install_import_hook
 

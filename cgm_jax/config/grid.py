@@ -17,7 +17,7 @@ import jax
 
 from cgm_jax.config.components import ROOMS, component
 from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
-from cgm_jax.config.named import absolute
+from cgm_jax.config.named import absolute, label
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
 
@@ -256,15 +256,15 @@ def _swept(grid: Grid, values: Values) -> list[str]:
 
 def _run_name(values: Values, swept: Sequence[str]) -> str:
     """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
-    agent = _short(values["agent"])
-    parts = [_short(values["env"]), f"{agent}-her" if values.get("her") else agent]
-    parts.append(_short(values["curriculum"]))
+    agent = label(values["agent"])
+    parts = [label(values["env"]), f"{agent}-her" if values.get("her") else agent]
+    parts.append(label(values["curriculum"]))
     told = {"seed", "her", "env", *ROOMS}
     if values["curriculum"] == "cgm":
         parts[-1] += f"-cg{_text(values['c_g'])}-kappa{_text(values['kappa'])}"
         told |= {"c_g", "kappa"}
     if "relabelling" in swept:
-        parts.append(_short(values["relabelling"]))
+        parts.append(label(values["relabelling"]))
     idle = _idle(values)
     told |= idle
     parts += [f"{n.replace('_', '')}{_text(values[n])}" for n in swept if n not in told]
@@ -272,11 +272,6 @@ def _run_name(values: Values, swept: Sequence[str]) -> str:
     if len(os.fsencode(name)) > MAX_NAME:
         raise SettingError(f"env: a run's file would have too long a name, {name[:60]}...")
     return name
-
-
-def _short(name: str) -> str:
-    """A component's or an environment's name without its folder."""
-    return name.rpartition("/")[2].replace(".py:", "-")
 
 
 def _text(value: Any) -> str:

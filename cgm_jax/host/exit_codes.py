@@ -16,4 +16,6 @@ class ExitCode(IntEnum):
     CANNOT_WRITE = 74
     """A full disk, or a directory that cannot be written to (EX_IOERR)."""
     STOPPED = 75
-    """Stopped by SIGINT or SIGTERM (EX_TEMPFAIL)."""
+    """Stopped by a signal (EX_TEMPFAIL)."""
+    IN_USE = 75
+    """Another process trains in the directory: try again later. Nothing was begun."""

@@ -6,15 +6,12 @@ mask_success.png      estimated against training success per mask (the paper's F
 """
 
 import math
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")  # no display needed
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -29,20 +26,30 @@ QUARTILES = (25, 50, 75)
 
 
 def draw_figures(directory: RunDirectory) -> list[Path]:
-    """Draw all figures of a sweep into its directory; return their paths."""
+    """Draw all figures of a sweep into its directory, each on its own.
+
+    One that cannot be drawn is a line on standard error.
+
+    Returns:
+        Paths of those that were drawn.
+
+    Raises:
+        OSError, ValueError: the metrics cannot be read.
+    """
     rows = directory.metrics()
-    figures = {
-        "learning_curves": learning_curves(rows),
-        "epochs_to_half": epochs_to_half(rows),
-        "mask_success": mask_success(rows),
-    }
+    if not rows:
+        return []
     paths = []
-    for name, figure in figures.items():
-        path = directory.path / "figures" / f"{name}.png"
-        with replacing(path) as file:
-            figure.savefig(file, dpi=130, format="png")
-        plt.close(figure)
-        paths.append(path)
+    for draw in (learning_curves, epochs_to_half, mask_success):
+        path = directory.path / "figures" / f"{draw.__name__}.png"
+        try:
+            figure = draw(rows)
+            with replacing(path) as file:
+                figure.savefig(file, dpi=130, format="png")
+            paths.append(path)
+        except Exception as error:
+            line = str(error).partition("\n")[0]
+            print(f"{path} is not drawn: {type(error).__name__}: {line}", file=sys.stderr)
     return paths
 
 
@@ -66,7 +73,7 @@ def learning_curves(rows: Rows) -> Figure:
             _draw_success(panel, plain[env, her], "no CGM", "black")
         by_rate = sorted(same, key=lambda row: (row["cgm"], row["c_g"]))
         lines = list(_grouped(by_rate, _line_label).items())
-        colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, len(lines)))
+        colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(lines)))
         for (label, runs), colour in zip(lines, colours, strict=True):
             _draw_success(panel, runs, label, colour)
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
@@ -200,7 +207,7 @@ def _epochs_to_half(rows: Rows) -> tuple[float, float, float]:
 def _draw_masks(panel: Axes, rows: Rows, name: str) -> None:
     masks = len(rows[0][name])
     size = masks.bit_length() - 1
-    colours = plt.get_cmap("turbo")(np.linspace(0.05, 0.95, masks))
+    colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, masks))
     few = [*(1 << i for i in range(size)), masks - 1]  # single dimensions and the full goal
     for mask in range(masks) if masks <= 16 else few:
         steps, curves = curves_of(rows, lambda row, mask=mask: row[name][mask])
@@ -226,6 +233,9 @@ def draw_quartiles(
 ) -> None:
     """Median line and quartile band of curves [runs, epochs], where any run has a value."""
     known = np.isfinite(curves).any(axis=0)
+    if not known.any():
+        panel.plot([], [], style, label=f"{label} (no valid episode)", color=colour)
+        return
     low, median, high = np.nanpercentile(curves[:, known], QUARTILES, axis=0)
     marker = "." if known.sum() < 2 else None
     (line,) = panel.plot(steps[known], median, style, label=label, color=colour, marker=marker)
@@ -280,13 +290,9 @@ def make_panels(
     """A figure with `count` panels of this size (inches), in rows of at most `columns`."""
     columns = min(columns, count)
     lines = -(-count // columns)
-    figure, grid = plt.subplots(
-        lines,
-        columns,
-        figsize=(width * columns, height * lines),
-        squeeze=False,
-        layout="constrained",
-    )
+    # Not by pyplot, which would choose a backend for the whole process and keep the figure.
+    figure = Figure(figsize=(width * columns, height * lines), layout="constrained")
+    grid = figure.subplots(lines, columns, squeeze=False)
     panels = list(grid.flat)
     for unused in panels[count:]:
         unused.remove()

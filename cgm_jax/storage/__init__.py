@@ -4,5 +4,6 @@ run_directory.py  config.json, metrics.jsonl, policies; lock.py one sweep per di
 formats.py        older formats of config.json
 policies.py       trained policies as plain arrays
 arrays.py         files of named arrays, read as untrusted input
+provenance.py     what results depend on besides the settings
 files.py          files that are whole or not there
 """

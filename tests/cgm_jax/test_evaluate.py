@@ -20,7 +20,8 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
-from cgm_jax.results.policies import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.results.plan import Plan
+from cgm_jax.results.policies import Film, Outcome, evaluate_directory, evaluate_random
 from cgm_jax.results.video import write_video
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
