@@ -13,4 +13,10 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="cgm_jax-tests-")
 atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
+from jaxtyping import install_import_hook
+
+# Shapes and types that annotations of these modules tell are checked at every call in tests.
+CHECKED = ("cgm_jax.agents.networks", "cgm_jax.curricula.goals")
+install_import_hook(CHECKED, "beartype.beartype")
+
 import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax

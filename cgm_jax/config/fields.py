@@ -14,7 +14,7 @@ their settings agree.
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
 
@@ -47,6 +47,18 @@ def traced(default: Any, help: str, low: float = -math.inf, high: float = math.i
 def static(default: Any, help: str, low: float = -math.inf, high: float = math.inf) -> Any:
     """A setting that decides the compiled program; None as default says that it may be absent."""
     return field(default=default, metadata=_metadata(False, help, low, high))
+
+
+def shared(kind: type, name: str, default: Any = MISSING) -> Any:
+    """A setting that another class declares too, so that both have one option.
+
+    Args:
+        kind: the other class.
+        name: of the setting, there and here.
+        default: the value here, if it is not the one there.
+    """
+    item = kind.__dataclass_fields__[name]  # pyright: ignore[reportAttributeAccessIssue]
+    return field(default=item.default if default is MISSING else default, metadata=item.metadata)
 
 
 def _metadata(traced: bool, help: str, low: float, high: float) -> dict[str, Any]:

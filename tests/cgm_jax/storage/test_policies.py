@@ -7,12 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.normaliser import network_input
-from cgm_jax.loop.training import Trainer
 from cgm_jax.storage.policies import act, load_policy, policy_arrays
-from tests.cgm_jax.probe import TINY
-from tests.examples.point_mass import PointMass
+from tests.cgm_jax.agents.trained import AGENTS, trained
+from tests.cgm_jax.probe import tiny
 
 
 def readme_policy(path: Path, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -24,20 +22,20 @@ def readme_policy(path: Path, observation: np.ndarray, goal: np.ndarray) -> np.n
     return namespace["act"](observation, goal)  # pyright: ignore[reportCallIssue]
 
 
+@pytest.mark.parametrize("name", AGENTS)
 def test_a_policy_file_acts_as_the_trained_actor_does_in_jax_and_in_ten_lines_of_numpy(
-    tmp_path: Path,
+    name: str, tmp_path: Path
 ) -> None:
-    trainer, hyper = Trainer(PointMass(), TINY), Hyperparameters()
-    state = jax.jit(trainer.train_cycles)(trainer.initial_state(hyper), hyper, 3)
+    agent, state = tiny(agent=name).agent, jax.tree.map(lambda leaf: leaf[0], trained(name).second)
     path = tmp_path / "policy.npz"
-    np.savez(path, **policy_arrays(state.agent.actor, state.normaliser))  # pyright: ignore
+    np.savez(path, **policy_arrays(agent.actor(state.agent), state.normaliser))  # pyright: ignore
 
     generator = np.random.default_rng(0)
     observation = generator.uniform(-2, 2, (20, 4)).astype(np.float32)
     observation[0] = 1e4  # the limit is at work
     goal = generator.uniform(-1, 1, (20, 2)).astype(np.float32)
     inputs = network_input(state.normaliser, jnp.asarray(observation), jnp.asarray(goal))
-    expected = np.asarray(trainer.ddpg.act(state.agent.actor, inputs))
+    expected = np.asarray(agent.act(state.agent, inputs))
     assert np.abs(expected).max() > 0.01
 
     arrays = load_policy(path)
