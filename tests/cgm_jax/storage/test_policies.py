@@ -50,8 +50,8 @@ def test_the_readmes_library_example_trains() -> None:
     readme = (Path(__file__).parents[3] / "README.md").read_text()
     namespace: dict[str, Any] = {}
     exec(readme.split("<!-- library -->\n```python\n")[1].split("```")[0], namespace)
-    assert namespace["metrics"]["mask_probability"].shape == (4,)
-    assert int(namespace["state"].env_steps) == 10 * 16 * 25
+    assert namespace["metrics"]["mask_probability"].shape == (8,)
+    assert int(namespace["state"].env_steps) == 10 * 16 * 50
 
 
 GOOD = {
