@@ -86,12 +86,11 @@ def test_the_report_says_how_the_practised_goals_went() -> None:
 @pytest.mark.slow
 def test_training_practises_goals_of_intermediate_success() -> None:
     """On the walk, that is known: at distances of 2.2 to 6.9 it is 90 to 10 %."""
-    own = {"neighbours": 30, "old_goal_share": 0.0}
+    trained = walk("goid", Line(), 60, neighbours=30, old_goal_share=0.0, seed=1)[1]
     ours, full = (
-        np.asarray(walk(name, Line(), 60, **values)[1].replay.episodes.desired_goal[-480:, 0])
-        for name, values in (("goid", own), ("full", {}))
+        np.asarray(state.replay.episodes.desired_goal[-480:, 0])
+        for state in (trained, walk("full", Line(), 60, seed=1)[1])
     )
-    achieved = np.asarray(walk("goid", Line(), 60, **own)[1].replay.episodes.achieved_goal)
-    assert medium_share(achieved.ravel()) < 0.25
+    assert medium_share(np.asarray(trained.replay.episodes.achieved_goal).ravel()) < 0.3
     assert medium_share(full) < 0.45
-    assert medium_share(ours) > 0.6
+    assert medium_share(ours) > 0.7
