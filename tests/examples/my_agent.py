@@ -1,8 +1,8 @@
 """Imitation in hindsight (Ghosh et al. 2021): an agent of one's own, in one file.
 
-loss: |pi(s, g) - a|^2, where HER has chosen a goal g that a led to
+Its loss is |pi(s, g) - a|^2, where HER has chosen a goal g that action a led to.
 
-python -m cgm_jax.train --agent tests/examples/my_agent.py:MyAgent --set width=128
+    python -m cgm_jax.train --agent tests/examples/my_agent.py:MyAgent --set width=128
 """
 
 import jax
