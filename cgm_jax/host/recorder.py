@@ -153,9 +153,10 @@ MASK_METRICS = ("mask_rate_estimated", "mask_rate_training", "mask_probability",
 def _reported(group: Group, state: TrainingState) -> list[str]:
     """Names of what the curriculum's own report adds to a row."""
     settings = group.runs[0].hyper.curriculum
-    own = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), state)
-    report = jax.eval_shape(lambda one, state: one.report(state), settings, own.curriculum)
-    return sorted(report)
+    own = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), state.curriculum
+    )
+    return sorted(jax.eval_shape(lambda one, state: one.report(state), settings, own))
 
 
 ALWAYS = ("env", "seed", "curriculum", "agent", "c_g", "kappa", "her")

@@ -1,8 +1,7 @@
 """What is made of runs.
 
-figures.py     learning curves, epochs to 50 % over c_g, success per mask: from metrics.jsonl
-plan.py        what policies are evaluated on
-policies.py    success of exported policies, noise-free, with any mask
+figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
+policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for
 video.py       videos of their episodes
-statistics.py  when a run reaches or holds a success
+statistics.py  when a run holds a success
 """

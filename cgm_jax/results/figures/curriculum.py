@@ -12,7 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cgm_jax.results.figures.curves import draw_quartiles
-from cgm_jax.results.figures.labels import line_text, remarks, setting_text, title_text
+from cgm_jax.results.figures.labels import (
+    counted_runs,
+    line_text,
+    remark_parts,
+    remarks,
+    setting_text,
+    title_text,
+)
 from cgm_jax.results.figures.layout import spread_colours
 from cgm_jax.results.figures.masks import best_setting, mask_label
 from cgm_jax.results.figures.panels import (
@@ -63,6 +70,7 @@ def curriculum(rows: Rows) -> Figure:
             _draw_array(panel, best_setting(same), key, names)
         else:
             _draw_number(panel, same, key, names)
+        panel.set_xlim(0, max(run.last_steps for run in same))
         label_steps(panel)
     return figure
 
@@ -80,10 +88,7 @@ def _reported(runs: Sequence[TrainedRun]) -> list[str]:
 
 def _labels(runs: Sequence[TrainedRun], names: Sequence[str]) -> list[str]:
     told = [name for name in names if name not in ("env", "curriculum")]
-    return [
-        line_text(same[0].settings, told) or f"{len(same)} run{'s' * (len(same) > 1)}"
-        for same in by_settings(runs)
-    ]
+    return [line_text(same[0].settings, told) or counted_runs(same) for same in by_settings(runs)]
 
 
 def _draw_number(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequence[str]) -> None:
@@ -103,8 +108,8 @@ def _draw_array(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequen
     rows = [row for row in rows_of(runs) if isinstance(row.get(key), list)]
     sizes = {np.size(row[key]) for row in rows}
     told = list(dict.fromkeys([*ALWAYS, *names]))
-    seeds = f", mean of {len(runs)} runs" if len(runs) > 1 else ""
-    panel.set_title(title_text(runs, told) + seeds + remarks(runs), fontsize=9)
+    further = [f"mean of {len(runs)} runs"] if len(runs) > 1 else []
+    panel.set_title(title_text(runs, told, further + remark_parts(runs)), fontsize=10)
     panel.grid(visible=False)
     (size,) = sizes
     columns = [curves_of(rows, lambda row, i=i: _flat(row[key])[i]) for i in range(size)]

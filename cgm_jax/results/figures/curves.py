@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cgm_jax.results.figures.labels import remarks
+from cgm_jax.results.figures.labels import counted_runs, remarks
 from cgm_jax.results.figures.layout import Line, arrange, colour_setting
 from cgm_jax.results.figures.panels import (
     add_legend,
@@ -41,9 +41,10 @@ def learning_curves(rows: Rows) -> Figure:
             _draw_success(axis, line)
         axis.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
         axis.set_title(panel.title, fontsize=10)
+        axis.set_xlim(0, 1.03 * max(run.last_steps for run in panel.runs))
         label_steps(axis)
         label_success(axis, "success rate, full goal")
-        add_legend(axis, "lower right" if len(panel.lines) <= 6 else "best")
+        add_legend(axis)
     return figure
 
 
@@ -52,7 +53,7 @@ def _draw_success(axis: Axes, line: Line) -> None:
     steps, curves = curves_of(rows_of(line.runs), "success_rate")
     ends = np.array([run.last_steps for run in line.runs])
     common = steps <= ends.min()
-    label = line.label + remarks(line.runs)
+    label = (line.label or counted_runs(line.runs)) + remarks(line.runs)
     draw_quartiles(axis, steps[common], curves[:, common], label, line.colour, line.style)
     for curve, end in zip(curves, ends, strict=True):
         if end > ends.min():

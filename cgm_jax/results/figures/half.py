@@ -82,7 +82,7 @@ def epochs_to_half(rows: Rows) -> Figure:
     figure, axes = make_panels(len(panels), width=5.0 + wide, height=4.0)
     axis = _axis(over, runs)
     for picture, panel in zip(axes, panels, strict=True):
-        _draw_panel(picture, panel, axis, alone=len(names) == 1)
+        _draw_panel(picture, panel, axis)
     return figure
 
 
@@ -92,14 +92,14 @@ def _setting_over_which(runs: Sequence[TrainedRun]) -> str | None:
 
 
 def _axis(name: str, runs: Sequence[TrainedRun]) -> Axis:
-    values = sorted({run.settings.get(name) for run in runs} - {None}, key=order)
+    values: list[Any] = sorted({run.settings.get(name) for run in runs} - {None}, key=order)
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
         scale = 100 if name == "c_g" else 1
         return Axis(name, {value: scale * value for value in values}, in_order=True)
     return Axis(name, {value: float(i) for i, value in enumerate(values)}, in_order=False)
 
 
-def _draw_panel(picture: Axes, panel: Panel, axis: Axis, *, alone: bool) -> None:
+def _draw_panel(picture: Axes, panel: Panel, axis: Axis) -> None:
     lengths = {run.rows[-1]["env_steps"] / run.rows[-1]["epoch"] for run in panel.runs}
     unit = "epoch" if len(lengths) == 1 else "env_steps"
     points = []
@@ -107,8 +107,7 @@ def _draw_panel(picture: Axes, panel: Panel, axis: Axis, *, alone: bool) -> None
         without = [run for run in line.runs if run.settings.get(axis.name) is None]
         having = [run for run in line.runs if run.settings.get(axis.name) is not None]
         if having:
-            label = axis_free_label(line, alone=alone)
-            points += _draw_points(picture, line, having, axis, unit, label)
+            points += _draw_points(picture, line, having, axis, unit)
         if without:
             point = _point(without, unit)
             points.append(point)
@@ -118,13 +117,8 @@ def _draw_panel(picture: Axes, panel: Panel, axis: Axis, *, alone: bool) -> None
     add_legend(picture)
 
 
-def axis_free_label(line: Line, *, alone: bool) -> str:
-    """A line's label; that of the only one, which has no settings of its own, is the median."""
-    return "median" if alone and line.label.endswith((" run", " runs")) else line.label
-
-
 def _draw_points(
-    picture: Axes, line: Line, runs: Sequence[TrainedRun], axis: Axis, unit: str, label: str
+    picture: Axes, line: Line, runs: Sequence[TrainedRun], axis: Axis, unit: str
 ) -> list[Point]:
     """One line: quartiles over runs, at each value, of when they first hold 50 %."""
     by_value = sorted(
@@ -135,16 +129,13 @@ def _draw_points(
     places = np.array([axis.places[value] for value, _ in by_value])
     low, median, high, reached, _ = np.array(points).T
     reached = reached.astype(bool)
-    style = line.style if axis.in_order else ""
-    (drawn,) = picture.plot(
-        places, median, style, label=label + remarks(runs), color=line.colour, zorder=3
-    )
-    colour = drawn.get_color()
+    colour, style = line.colour, line.style if axis.in_order else "none"
+    label = (line.label or "median over seeds") + remarks(runs)
+    (drawn,) = picture.plot(places, median, linestyle=style, label=label, color=colour, zorder=3)
     picture.plot(places[reached], median[reached], "o", color=colour, zorder=4)
     picture.plot(places[~reached], median[~reached], "o", color=colour, mfc="white", zorder=4)
     if not axis.in_order:
         drawn.set_marker("o")  # for the legend
-        drawn.set_markerfacecolor("none")
     if any(len(same) > 1 for _, same in by_value):
         if axis.in_order and len(places) > 1:
             picture.plot(places, low, linestyle="--", linewidth=0.8, color=colour)
@@ -155,7 +146,8 @@ def _draw_points(
 
 
 def _draw_level(picture: Axes, line: Line, point: Point, remark: str) -> None:
-    label = line.label if point.reached else f"{line.label}, not reached"
+    label = line.label or "without it"
+    label += "" if point.reached else ", not reached"
     style = "-." if line.style == "-" else line.style
     picture.axhline(point.median, color=line.colour, linestyle=style, label=label + remark)
 
@@ -217,13 +209,13 @@ def _explain_open(picture: Axes, lasts: set[float], unit: str) -> None:
     text = "not within the training (open)"
     if len(lasts) == 1:
         picture.axhline(last, color="grey", linewidth=0.8, linestyle=":")
-        count = f"{last} epochs" if unit == "epoch" else f"{last:,} env_steps"
-        text = f"not within {count} (open)"
+        name = unit if unit == "env_steps" else "epoch" if last == 1 else "epochs"
+        text = f"not within {last:,} {name} (open)"
     picture.annotate(
         text,
         (0.02, last),
         xycoords=("axes fraction", "data"),
-        xytext=(0, 3),
+        xytext=(0, 5),
         textcoords="offset points",
         fontsize=8,
         color="grey",

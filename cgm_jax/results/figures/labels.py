@@ -48,7 +48,9 @@ def line_text(settings: Mapping[str, Any], names: Sequence[str]) -> str:
     )
 
 
-def title_text(runs: Sequence[TrainedRun], names: Sequence[str]) -> str:
+def title_text(
+    runs: Sequence[TrainedRun], names: Sequence[str], further: Sequence[str] = ()
+) -> str:
     """The settings of these names that all of the runs which have them share, for a title."""
     shared = {name: value for name in names if (value := shared_value(runs, name)) is not None}
     parts = [] if "env" not in shared else [setting_text("env", shared.pop("env"))]
@@ -58,7 +60,7 @@ def title_text(runs: Sequence[TrainedRun], names: Sequence[str]) -> str:
         if isinstance(shared.get("her"), bool):
             del shared["her"]
     parts += [setting_text(name, value) for name, value in shared.items()]
-    return wrapped(parts)
+    return wrapped([*parts, *further])
 
 
 def shared_value(runs: Sequence[TrainedRun], name: str) -> Hashable:
@@ -80,15 +82,26 @@ def wrapped(parts: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def counted_runs(runs: Sequence[TrainedRun]) -> str:
+    """How many they are."""
+    return "1 run" if len(runs) == 1 else f"median of {len(runs)} runs"
+
+
 def remarks(runs: Sequence[TrainedRun]) -> str:
-    """What a label must add: runs that diverged, or that had no valid episode."""
+    """What a label must add, in brackets."""
+    parts = remark_parts(runs)
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def remark_parts(runs: Sequence[TrainedRun]) -> list[str]:
+    """How many runs diverged, or had no valid episode, where there are such."""
     parts = []
     if never := sum(run.never_valid for run in runs):
         all_of_them = never == len(runs)
         parts.append("no valid episode" if all_of_them else f"{never} without valid episode")
     if diverged := sum(run.failed_row is not None for run in runs):
         parts.append(f"{diverged} diverged")
-    return f" ({', '.join(parts)})" if parts else ""
+    return parts
 
 
 def _named(kind: str, value: Any) -> str:

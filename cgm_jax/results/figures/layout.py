@@ -35,7 +35,14 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Line:
-    """Runs that a line stands for, and how it looks."""
+    """Runs that a line stands for, and how it looks.
+
+    Attributes:
+        label: what tells it from others; empty if there are none.
+        colour: as matplotlib has it.
+        style: likewise.
+        runs: in order of appearance.
+    """
 
     label: str
     colour: Any
@@ -80,7 +87,7 @@ def arrange(
     parted = [name for name in names if name not in on_lines]
     while len(_panel_keys(runs, parted)) > MAX_PANELS:
         on_lines.append(parted.pop())
-    looks = _looks(runs, colour, on_lines)
+    looks = _looks(runs, colour, on_lines, pooled="curriculum" in within)
     told = [name for name in dict.fromkeys([*ALWAYS, *parted]) if name not in (*on_lines, *within)]
     panels = []
     for key in _panel_keys(runs, parted):
@@ -137,18 +144,28 @@ def _label(line: Sequence[TrainedRun], runs: Sequence[TrainedRun], names: Sequen
         having = [run for run in runs if run.settings.get(told[0]) is not None]
         if len({run.settings["curriculum"] for run in having}) == 1:
             told.remove("curriculum")
-    return line_text(settings, told) or f"{len(line)} run{'s' * (len(line) > 1)}"
+    return line_text(settings, told)
 
 
 def _looks(
-    runs: Sequence[TrainedRun], colour: str | None, on_lines: Sequence[str]
+    runs: Sequence[TrainedRun], colour: str | None, on_lines: Sequence[str], *, pooled: bool
 ) -> dict[Values, tuple[Any, str]]:
-    """Colour and style of every line, the same in all panels, by its values."""
+    """Colour and style of every line, the same in all panels, by its values.
+
+    Args:
+        runs: all of a figure.
+        colour: the setting that colours tell.
+        on_lines: all settings that lines tell.
+        pooled: whether runs of one line may differ in the curriculum.
+    """
     keys = sorted(
         {_values(run, on_lines) for run in runs}, key=lambda key: [order(value) for value in key]
     )
-    curriculum = {_values(run, on_lines): str(run.settings.get("curriculum")) for run in runs}
-    palette = _palette(runs, colour)
+    curriculum = {
+        _values(run, on_lines): "" if pooled else str(run.settings.get("curriculum"))
+        for run in runs
+    }
+    palette = {(None, ""): CATEGORIES[0], **_palette(runs, colour)}
 
     def basis(key: Values) -> tuple[Any, Any]:
         coloured = colour in on_lines and colour != "curriculum" and key[0] is not None

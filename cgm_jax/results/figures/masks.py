@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cgm_jax.results.figures.curves import draw_quartiles
-from cgm_jax.results.figures.labels import remarks, title_text
+from cgm_jax.results.figures.labels import remark_parts, title_text
 from cgm_jax.results.figures.panels import (
     add_legend,
     label_steps,
@@ -59,7 +59,8 @@ def mask_success(rows: Rows) -> Figure:
         best = best_setting(same)
         for panel, (name, kind) in zip(pair, KINDS, strict=True):
             _draw_masks(panel, best, name)
-            panel.set_title(title_text(best, told) + remarks(best), fontsize=10)
+            panel.set_title(title_text(best, told, remark_parts(best)), fontsize=10)
+            panel.set_xlim(0, 1.03 * max(run.last_steps for run in best))
             label_steps(panel)
             label_success(panel, f"{kind} success of masked goal")
     return figure

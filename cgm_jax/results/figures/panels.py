@@ -46,7 +46,7 @@ def legend_width(labels: Sequence[Sequence[str]]) -> float:
     return max(widths, default=0.0)
 
 
-def add_legend(panel: Axes, place: str = "best", title: str | None = None) -> None:
+def add_legend(panel: Axes, title: str | None = None) -> None:
     """A legend inside the panel, or beside it where it would hide too much.
 
     Of very many entries it shows the first ones, and says so.
@@ -56,7 +56,7 @@ def add_legend(panel: Axes, place: str = "best", title: str | None = None) -> No
         return
     if len(handles) <= MAX_INSIDE:
         panel.legend(
-            handles, labels, loc=place, title=title, fontsize=8, title_fontsize=8, framealpha=0.7
+            handles, labels, loc="best", title=title, fontsize=8, title_fontsize=8, framealpha=0.7
         )
         return
     if left_out := len(handles) - MAX_ENTRIES if len(handles) > MAX_ENTRIES else 0:
@@ -91,4 +91,5 @@ def label_success(panel: Axes, label: str) -> None:
 
 def say_empty(panel: Axes, why: str) -> None:
     """Write into a panel why it is empty."""
+    panel.grid(visible=False)
     panel.text(0.5, 0.5, why, transform=panel.transAxes, ha="center", va="center", color="grey")

@@ -1,0 +1,102 @@
+"""What a row of metrics.jsonl says of its run."""
+
+import json
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cgm_jax.config.grid import Group, build_groups, swept_settings
+from cgm_jax.config.sizes import Sizes
+from cgm_jax.host import recorder
+from cgm_jax.host.checkpoint import Standing
+from cgm_jax.results.figures import learning_curves
+from cgm_jax.storage.run_directory import metrics_line
+from tests.cgm_jax.results.figures.made import legend, panels, titles
+
+SIZES = Sizes(
+    **dict.fromkeys(("observation", "inputs", "episode_length", "environments"), 4),
+    **dict.fromkeys(("evaluation_episodes", "updates_per_cycle", "critics"), 1),
+    goal=2,
+    action=2,
+    distance_threshold=0.1,
+    starts=None,
+)
+
+
+class State:
+    """As much of a training state as rows take."""
+
+    agent = None
+
+    def __init__(self, curriculum: Any) -> None:
+        self.curriculum = curriculum
+
+
+def rows_of(groups: list[Group]) -> list[dict[str, Any]]:
+    """The first epoch's rows of a sweep in which every run succeeds half of the time."""
+    swept = swept_settings(groups)
+    return [row for group in groups for row in _rows_of(group, swept)]
+
+
+def _rows_of(group: Group, swept: list[str]) -> list[dict[str, Any]]:
+    runs = len(group.runs)
+    curriculum = group.runs[0].hyper.curriculum
+    state = curriculum.init(SIZES)
+    counts = {"updates": np.ones(runs, int), "failure": np.zeros(runs, int)}
+    metrics = {"env_steps": np.full(runs, 100), "success_rate": np.full(runs, 0.5), **counts}
+    metrics |= {name: np.stack([value] * runs) for name, value in curriculum.report(state).items()}
+    stacked = State(jax.tree.map(lambda leaf: jnp.stack([leaf] * runs), state))
+    standing = Standing(stacked, epoch=1)  # pyright: ignore[reportArgumentType]
+    facts = [recorder._facts(run, swept) for run in group.runs]
+    rows = recorder._rows(group, facts, standing, metrics)  # pyright: ignore[reportArgumentType]
+    return [json.loads(metrics_line(row)) for row in rows]
+
+
+def test_rows_tell_every_swept_setting_whatever_group_they_are_of() -> None:
+    options = {
+        "curriculum": ["cgm", "full", "uniform"],
+        "hidden_layers": [(8,), (8, 16)],
+        "leave_at": [None, 0.9],
+        "kappa": [4.0],
+    }
+    rows = rows_of(build_groups("smoke", options))
+    assert len(rows) == 12
+    assert len({tuple(row) for row in rows}) == 1  # the same keys in the same order
+    swept = ["leave_at", "curriculum", "hidden_layers"]
+    for row in rows:
+        assert sorted(row["swept"]) == sorted(swept)
+        assert set(swept) <= set(row)
+        assert (row["c_g"], row["kappa"]) == ((0.1, 4) if row["cgm"] else (None, None))
+    told = {(row["curriculum"], str(row["hidden_layers"]), row["leave_at"]) for row in rows}
+    assert told == {
+        (curriculum, layers, leave_at)
+        for curriculum in ("cgm", "full", "uniform")
+        for layers in ("[8]", "[8, 16]")
+        for leave_at in (None, 0.9)
+    }
+
+
+def test_a_swept_setting_is_null_where_it_has_no_effect_or_there_is_none() -> None:
+    options = {"her": [True, False], "her_k": [1.0, 4.0], "kappa": [4.0]}
+    rows = rows_of(build_groups("smoke", options))
+    assert [(row["her"], row["her_k"]) for row in rows] == [(True, 1), (True, 4), (False, None)]
+    options = {"curriculum": ["cgm", "full"], "full_share": [0.0, 0.5], "kappa": [4.0]}
+    rows = rows_of(build_groups("smoke", options))
+    assert [row["full_share"] for row in rows] == [0.0, 0.5, None]
+
+
+def test_rows_say_what_their_curriculum_reports() -> None:
+    cgm, full = rows_of(build_groups("smoke", {"curriculum": ["cgm", "full"], "kappa": [4.0]}))
+    assert cgm["reported"] == ["mask_probability", "mask_rate_estimated"]
+    assert len(cgm["mask_probability"]) == 4
+    assert full["reported"] == []
+    assert full["mask_probability"] is None
+
+
+def test_what_a_sweep_varies_is_told_by_its_figures() -> None:
+    options = {"batch_size": [16, 32], "curriculum": ["cgm", "full"], "kappa": [4.0]}
+    figure = learning_curves(rows_of(build_groups("smoke", options)))
+    assert [title[-13:] for title in titles(figure)] == ["batch size 16", "batch size 32"]
+    assert [legend(panel) for panel in panels(figure)] == [["CGM", "no CGM (full)"]] * 2
