@@ -37,12 +37,13 @@ TRAINER = make_trainer(ENV, SETTINGS)
 
 def other_value(item: "Field[Any]") -> Any:
     """A value of a traced setting that is not its default."""
-    if isinstance(item.default, bool):
-        return not item.default
-    if isinstance(item.default, int):
-        return item.default + 1
+    default: Any = item.default
+    if isinstance(default, bool):
+        return not default
+    if isinstance(default, int):
+        return default + 1
     low, high = item.metadata["low"], item.metadata["high"]
-    return low + 0.3 * (min(high, low + 2.0 * abs(item.default) + 1.0) - low)
+    return low + 0.3 * (min(high, low + 2.0 * abs(default) + 1.0) - low)
 
 
 def critics_for(name: str) -> int:
