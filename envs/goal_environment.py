@@ -1,4 +1,4 @@
-"""What an environment must offer to be trained on."""
+"""What an environment must offer to be trained on, and what more it may offer."""
 
 from typing import Protocol
 
@@ -52,4 +52,18 @@ class GoalEnvironment(Protocol):
 
     def step(self, state: State, action: jax.Array) -> State:
         """Advance by one control step with `action` [action_size]."""
+        ...
+
+
+class StartableEnvironment(GoalEnvironment, Protocol):
+    """An environment whose episodes can also begin in a state that an earlier one visited.
+
+    Optional: curricula that choose where to begin need it, and it is recognised by its method.
+    """
+
+    def restart(self, state: State) -> State:
+        """Begin an episode in `state`, as it is, with the goal that it holds.
+
+        Whatever counts within an episode, such as steps or warnings, begins anew.
+        """
         ...

@@ -82,6 +82,20 @@ def check(instance: Any) -> None:
         check(part)
 
 
+def check_concrete(instance: Any) -> None:
+    """Check as `check` does all values but arrays, which may be traced.
+
+    Raises:
+        SettingError: as `check`.
+    """
+    for item in declared(instance):
+        value = getattr(instance, item.name)
+        if not isinstance(value, jax.Array | np.ndarray):
+            check_value(item, value)
+    for part in parts(instance):
+        check_concrete(part)
+
+
 def parts(instance: Any) -> Iterator[Any]:
     """Instances of settings that are fields of another."""
     for item in dataclasses.fields(instance):
@@ -128,7 +142,12 @@ def stack(runs: Sequence[Tree]) -> Tree:
 
     Types are fixed per field (int32, float32, bool), whatever the values, so that two grids of
     the same length compile to the same program.
+
+    Raises:
+        SettingError: a value of another type, not finite, or out of its range.
     """
+    for run in runs:
+        check(run)
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *map(_typed, runs))
 
 

@@ -96,12 +96,15 @@ def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Gr
 def hyperparameters(**values: Any) -> Hyperparameters:
     """Settings of one run from values by name, of the loop and of its components alike.
 
+    What is not given has its default, or what the curriculum wants.
+
     Raises:
         SettingError: no component has such a setting, or a value is out of its range.
     """
     made = {}
-    for kind, default in DEFAULTS.items():
-        found = component(kind, values.pop(kind, default))
+    classes = {kind: component(kind, values.pop(kind, name)) for kind, name in DEFAULTS.items()}
+    values = {**_wanted(classes), **values}
+    for kind, found in classes.items():
         own = {item.name for item in declared(found)}
         made[kind] = found(**{name: values[name] for name in own & set(values)})
     taken = {item.name for part in made.values() for item in declared(part)}
@@ -181,10 +184,12 @@ def _combinations(grid: Grid) -> list[Values]:
     runs: dict[Any, Values] = {}
     for chosen in itertools.product(*(_names(grid, kind) for kind in ROOMS)):
         components = dict(zip(ROOMS, map(absolute, chosen), strict=True))
+        classes = {kind: component(kind, name) for kind, name in components.items()}
         fields = dict(LOOP_FIELDS)
-        for kind, name in components.items():
-            fields |= {item.name: item for item in declared(component(kind, name))}
-        axes = {name: _axis(grid, item) for name, item in fields.items()}
+        for found in classes.values():
+            fields |= {item.name: item for item in declared(found)}
+        wanted = {name: [value] for name, value in _wanted(classes).items()}
+        axes = {name: _axis({**wanted, **grid}, item) for name, item in fields.items()}
         if math.prod(len(axis) for axis in axes.values()) > MAX_RUNS:
             longest = max(axes, key=lambda name: len(axes[name]))
             raise SettingError(f"{longest}: more than {MAX_RUNS:,} runs in one sweep")
@@ -197,6 +202,15 @@ def _combinations(grid: Grid) -> list[Values]:
     if len(runs) > MAX_RUNS:
         raise SettingError(f"curriculum: more than {MAX_RUNS:,} runs in one sweep")
     return list(runs.values())
+
+
+def _wanted(classes: Mapping[str, Any]) -> Values:
+    """What a curriculum wants of its agent, where that can give it and has less by default."""
+    wanted = classes["curriculum"].wants_critics
+    fields = {item.name: item for item in declared(classes["agent"])}
+    if "critics" not in fields or fields["critics"].default >= wanted:
+        return {}
+    return {"critics": wanted}
 
 
 def _axis(grid: Grid, item: "Field[Any]") -> Sequence[Any]:

@@ -11,8 +11,10 @@ import dataclasses
 import io
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
@@ -24,11 +26,14 @@ from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.streams import make_streams_harmless
+from cgm_jax.storage.lock import InUseError
 
 DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
 
 MAX_MESSAGE = 2000
+_OWNS_PROCESS = ContextVar("owns_process", default=False)
 
 Options = TypeVar("Options")
 Switch = Literal["on", "off"]
@@ -208,20 +213,39 @@ def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) ->
 
 def run_program(main: Callable[[], int]) -> NoReturn:
     """Run a program's body and exit with its code, refusing bad settings with one line."""
+    make_streams_harmless()
+    _OWNS_PROCESS.set(True)
     try:
         sys.exit(main())
     except SettingError as error:
         refuse(str(error))
+    except InUseError as error:
+        refuse(str(error), ExitCode.IN_USE)
     except KeyboardInterrupt:
         sys.exit(ExitCode.STOPPED)
 
 
-def refuse(message: str) -> NoReturn:
-    """End with one line and exit code 2."""
+def owns_process() -> bool:
+    """Whether this process runs one of our programs, and not `main()` inside another one."""
+    return _OWNS_PROCESS.get()
+
+
+def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
+    """End with one line and an exit code."""
     line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
     shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
     print(f"error: {shown}", file=sys.stderr)
-    sys.exit(ExitCode.BAD_INPUT)
+    sys.exit(code)
+
+
+def shell_command(program: str, *arguments: str | Path) -> str:
+    """A command line that runs a program of this package as it is, from any directory.
+
+    Paths become absolute, everything is quoted, and the interpreter is the one that runs now.
+    """
+    words = [Path(word).absolute() if isinstance(word, Path) else word for word in arguments]
+    interpreter = sys.executable or "python"
+    return shlex.join([interpreter, "-m", program, *(str(word) for word in words)])
 
 
 def _first_paragraph(box: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from cgm_jax.config.fields import parts
 from cgm_jax.config.grid import Group, Run
 from cgm_jax.host.checkpoint import Standing, save_checkpoint
 from cgm_jax.loop.divergence import describe_failure
@@ -28,13 +29,25 @@ class Recorder:
         index: int,
         rows: Sequence[str],
         checkpoint_seconds: float,
+        swept: Sequence[str],
     ) -> None:
-        """Record `group`, number `index` of its sweep, which has written `rows` so far."""
+        """Record a group of runs.
+
+        Args:
+            directory: where to.
+            group: the runs.
+            index: number of the group in its sweep.
+            rows: what it has written so far.
+            checkpoint_seconds: least time between two checkpoints.
+            swept: names of the settings in which runs of the whole sweep differ.
+        """
         self._directory = directory
         self._group = group
         self._index = index
+        self._facts = [_facts(run, swept) for run in group.runs]
         self._interval = checkpoint_seconds
         self._saved = time.monotonic()
+        self._config = directory.config_bytes()  # as it was when training began
         self._best = {run.name: 0.0 for run in group.runs}
         for line in rows:
             self._improves(json.loads(line))
@@ -45,7 +58,7 @@ class Recorder:
         Raises:
             OSError: the metrics cannot be written.
         """
-        lines = [metrics_line(row) for row in _rows(self._group, standing, metrics)]
+        lines = [metrics_line(row) for row in _rows(self._group, self._facts, standing, metrics)]
         standing.rows += lines
         self._directory.append_metrics(lines)
         rows = [json.loads(line) for line in lines]
@@ -85,7 +98,8 @@ class Recorder:
             self._group.runs, _policies(self._group, standing.state), strict=True
         ):
             self._directory.write_policy(run, policy)
-        save_checkpoint(self._directory.path / "checkpoints", self._index, standing)
+        checkpoints = self._directory.path / "checkpoints"
+        save_checkpoint(checkpoints, self._index, standing, self._config)
         self._saved = time.monotonic()
 
     def _improves(self, row: dict[str, Any]) -> bool:
@@ -106,24 +120,29 @@ def _policies(group: Group, state: TrainingState) -> Iterator[dict[str, np.ndarr
         yield policy_arrays(actor, statistics, mask_input=group.settings.mask_input)
 
 
-def _rows(group: Group, standing: Standing, metrics: Metrics) -> list[dict[str, Any]]:
+def _rows(
+    group: Group, facts: Sequence[dict[str, Any]], standing: Standing, metrics: Metrics
+) -> list[dict[str, Any]]:
     arrays = {name: np.asarray(value) for name, value in metrics.items()}
     failures = arrays.pop("failure")
     updates = group.settings.cycles_per_epoch * group.settings.updates_per_cycle
+    reported = _reported(group, standing.state)
     return [
         {
-            **_facts(run),
+            **own,
             "epoch": standing.epoch,
             "wall_s": round(standing.wall_s, 3),
             **dict.fromkeys(MASK_METRICS),
-            **{name: values[i] for name, values in arrays.items()},
+            # A setting is what it is, whatever a curriculum reports under its name.
+            **{name: values[i] for name, values in arrays.items() if name not in own},
             # A frozen agent counts no more updates, so that they tell when it failed.
             "failed_epoch": int(arrays["updates"][i]) // updates + 1 if failures[i] else None,
             "failure": describe_failure(int(failures[i]), standing.state.agent)
             if failures[i]
             else None,
+            "reported": reported,
         }
-        for i, run in enumerate(group.runs)
+        for i, own in enumerate(facts)
     ]
 
 
@@ -131,12 +150,32 @@ MASK_METRICS = ("mask_rate_estimated", "mask_rate_training", "mask_probability",
 """Per mask [2^n]; null where a curriculum has no such thing, or 2^n is too many."""
 
 
-def _facts(run: Run) -> dict[str, Any]:
-    """What a row says of its run: null for a setting that the run does not have."""
+def _reported(group: Group, state: TrainingState) -> list[str]:
+    """Names of what the curriculum's own report adds to a row."""
+    settings = group.runs[0].hyper.curriculum
+    own = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), state)
+    report = jax.eval_shape(lambda one, state: one.report(state), settings, own.curriculum)
+    return sorted(report)
+
+
+ALWAYS = ("env", "seed", "curriculum", "agent", "c_g", "kappa", "her")
+"""Settings that every row has."""
+
+
+def _facts(run: Run, swept: Sequence[str]) -> dict[str, Any]:
+    """What a row says of its run: null for a setting that the run does not have.
+
+    Further settings that the sweep varies are null where they have no effect, too.
+    """
     values = run.values
-    named = ("env", "seed", "curriculum", "agent", "c_g", "kappa", "her")
+    idle = frozenset().union(*(part.idle() for part in parts(run.hyper)))
+    further = {
+        name: None if name in idle else values.get(name) for name in swept if name not in ALWAYS
+    }
     return {
         "run": run.name,
-        **{name: values.get(name) for name in named},
+        **{name: values.get(name) for name in ALWAYS},
         "cgm": values["curriculum"] == "cgm",
+        **further,
+        "swept": list(swept),
     }

@@ -13,7 +13,7 @@ import numpy as np
 
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, Run, split, structure
+from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import Standing, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
@@ -142,12 +142,14 @@ def run_jobs(
         SettingError: a checkpoint holds the state of another program.
     """
     rows, last = [], []
+    swept = swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         standing = _begin(job, index, directory)
+        _keep_lost_metrics(standing, index, directory, rows)
         directory.replace_metrics(rows + standing.rows)
         settings = job.group.settings
         progress.skip(standing.epoch * settings.cycles_per_epoch + standing.cycle)
-        recorder = Recorder(directory, job.group, index, standing.rows, checkpoint_seconds)
+        recorder = Recorder(directory, job.group, index, standing.rows, checkpoint_seconds, swept)
         if not _train(job, standing, recorder, progress, interruption):
             return None
         progress.skip((settings.epochs - standing.epoch) * settings.cycles_per_epoch)
@@ -189,6 +191,26 @@ def _renamed(rows: Sequence[str], group: Group) -> list[str]:
             raise TypeError(f"a success rate of {row['success_rate']!r}")
         renamed.append(line if row == row | names else json.dumps(row | names) + "\n")
     return renamed
+
+
+def _keep_lost_metrics(
+    standing: Standing, index: int, directory: RunDirectory, rows: Sequence[str]
+) -> None:
+    """Say that a group begins anew, and set metrics aside that would be lost by that.
+
+    Args:
+        standing: where the group stands.
+        index: its number.
+        directory: what an earlier process has written, if there was one.
+        rows: what groups before this one have written.
+    """
+    lines = directory.count_metrics()
+    if standing.epoch or standing.cycle or lines is None or (index and lines <= len(rows)):
+        return
+    note = f"no checkpoint of group {index}: it begins anew"
+    if lines > len(rows):
+        note += f", and the metrics until now are kept as {directory.set_metrics_aside()}"
+    print(note, file=sys.stderr)
 
 
 def _train(

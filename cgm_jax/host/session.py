@@ -1,5 +1,6 @@
 """From groups of runs to an exit code: what sweep and train have in common."""
 
+import itertools
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -11,7 +12,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, structure
 from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import TrainingOptions
+from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
@@ -35,20 +36,25 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
 
     Raises:
         SettingError: before anything compiles, if something cannot be as it is asked for.
+        InUseError: before anything compiles, if another process trains in the directory.
     """
-    out = options.resume or options.out or _default_directory(preset)
-    with Interruption() as interruption:
+    out = options.resume or options.out
+    with Interruption(ends_process=owns_process()) as interruption:
         moved = {}
-        if groups is None:  # what own code the user names goes with what the directory holds
+        if out is not None and (restored := RunDirectory(out).restore_config()) is not None:
+            print(restored, file=sys.stderr)
+        if groups is None and out is not None:
+            # What own code the user names goes with what the directory holds.
             named = {kind: getattr(options, kind) or () for kind in NAMES}
             moved = RunDirectory.open(out).moved(named)
-        recorded = _recorded_groups(out, groups, moved)
+        recorded = None if out is None else _recorded_groups(out, groups, moved)
         prepare_jax()
         import jax
 
         from cgm_jax.host.runner import plan_jobs
 
         jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
+        out = out or _new_directory(preset)
         try:
             with RunDirectory.claimed(out, fresh=recorded is None) as directory:
                 device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
@@ -64,8 +70,28 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             return ExitCode.CANNOT_WRITE
 
 
-def _default_directory(preset: str) -> Path:
-    return Path("runs") / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
+def _new_directory(preset: str) -> Path:
+    """Make a directory named for the time, which nobody else gets, however many start at once.
+
+    Raises:
+        SettingError: it cannot be made.
+    """
+    first = Path("runs") / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
+    names = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
+    try:
+        first.parent.mkdir(exist_ok=True)
+        return next(path for path in names if _made(path))
+    except OSError as error:
+        raise SettingError(f"out: cannot write to {first}: {error.strerror}") from None
+
+
+def _made(path: Path) -> bool:
+    """Whether this process has made the directory, which until now was not there."""
+    try:
+        path.mkdir()
+    except FileExistsError:
+        return False
+    return True
 
 
 def _recorded_groups(
@@ -164,4 +190,4 @@ def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
 
 
 def _how_to_go_on(out: Path) -> str:
-    return f"to go on: python -m cgm_jax.sweep --resume {out}"
+    return f"to go on: {shell_command('cgm_jax.sweep', '--resume', out)}"

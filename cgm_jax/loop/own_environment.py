@@ -25,8 +25,8 @@ ENTRIES = ("observation", "achieved_goal", "desired_goal")
 OUTPUTS = ("reward", "done", "metrics")
 WARNINGS = "physics_warnings"
 
-GREATEST_ACTION_SIZE = 10_000
-LONGEST_EPISODE = 1_000_000
+MAX_ACTION_SIZE = 10_000
+MAX_EPISODE_LENGTH = 1_000_000
 THRESHOLDS = (1e-15, 1e15)
 """Squares of distances must be numbers of float32."""
 
@@ -66,8 +66,8 @@ class OwnEnvironment:
 
     def __init__(self, env: Any, name: str) -> None:
         self._env = env
-        self.action_size = _whole_number(env, name, "action_size", GREATEST_ACTION_SIZE)
-        self.episode_length = _whole_number(env, name, "episode_length", LONGEST_EPISODE)
+        self.action_size = _whole_number(env, name, "action_size", MAX_ACTION_SIZE)
+        self.episode_length = _whole_number(env, name, "episode_length", MAX_EPISODE_LENGTH)
         self.distance_threshold = _distance_threshold(env, name)
         self.remarks: list[str] = []
         if hasattr(env, "restart"):  # optional in the protocol

@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.acme.running_statistics import NestedMeanStd
 
 from cgm_jax.agents.networks import Parameters, apply_actor
 from cgm_jax.loop.normaliser import Normaliser, network_input
 from cgm_jax.storage.arrays import read_arrays
+
+if TYPE_CHECKING:
+    from brax.training.acme.running_statistics import NestedMeanStd
 
 MAX_POLICY_BYTES = 2**30
 
@@ -182,5 +184,7 @@ def act(
     return apply_actor({"params": parameters}, inputs)
 
 
-def _mean_std(arrays: Mapping[str, jax.Array | np.ndarray], kind: str) -> NestedMeanStd:
+def _mean_std(arrays: Mapping[str, jax.Array | np.ndarray], kind: str) -> "NestedMeanStd":
+    from brax.training.acme.running_statistics import NestedMeanStd
+
     return NestedMeanStd(mean=arrays[f"{kind}_mean"], std=arrays[f"{kind}_std"])

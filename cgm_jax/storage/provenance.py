@@ -10,6 +10,7 @@ from typing import Any
 
 from cgm_jax.config.named import files_of, folder_of
 from cgm_jax.config.user_code import digest_of
+from cgm_jax.host.allotment import available_cores
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
 TITLES = {
@@ -21,7 +22,7 @@ TITLES = {
 }
 """Entries that are one text each, and what to call them."""
 
-LONGEST_SHOWN = 100
+MAX_SHOWN = 100
 
 
 def provenance(device: str, own_names: Iterable[str]) -> dict[str, Any]:
@@ -131,8 +132,6 @@ def _commit() -> str | None:
 
 def _machine() -> str:
     """The system, and how many of its cores this process may use: bits depend on both."""
-    from cgm_jax.envs.physics.native import available_cores  # imports JAX
-
     usable, there = available_cores(), os.cpu_count()
     cores = f"{there} cores" if usable == there else f"{usable} of {there} cores"
     return f"{platform.platform()}, {cores}"
@@ -142,4 +141,4 @@ def _shown(value: Any) -> str:
     """A value from a config, which may come from anybody: one short line, fit for a terminal."""
     text = "none" if value is None else str(value)
     text = "".join(letter if letter.isprintable() else "?" for letter in text) or "none"
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."

@@ -5,13 +5,14 @@ DIR/metrics.jsonl         one object per run and epoch
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
 DIR/figures/*.png
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
-DIR/lock                  held while a sweep writes here
+DIR/lock, DIR/holder      held while a sweep writes here, and by whom
 
 A directory may come from anybody. Nothing in it leads out of it, neither a name in its config nor a
 symbolic link; and code that its config names runs only if the user has named it (config/named.py).
 """
 
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -30,14 +31,15 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import MAX_NAME, Group, Run, run_of, structure
 from cgm_jax.config.named import absolute, is_own, require_named
 from cgm_jax.storage.arrays import write_arrays
+from cgm_jax.storage.checkpoints import restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
-from cgm_jax.storage.lock import locked
+from cgm_jax.storage.lock import HOLDER, LOCK, locked
 from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 METRICS = "metrics.jsonl"
 CONFIG = "config.json"
-PARTS = (CONFIG, METRICS, "lock", "policies", "figures", "checkpoints")
+PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
 
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
@@ -62,15 +64,15 @@ class RunDirectory:
             fresh: whether it must not hold a sweep yet.
 
         Raises:
-            SettingError: it cannot be written to, another process has it, it is not fresh, or a
-                part of it leads elsewhere.
+            SettingError: it cannot be written to, it is not fresh, or a part of it leads elsewhere.
+            InUseError: another process has it.
         """
         _check_parts(path)
         with contextlib.ExitStack() as stack:
             try:
                 for part in ("policies/improvements", "figures", "checkpoints"):
                     (path / part).mkdir(parents=True, exist_ok=True)
-                stack.enter_context(locked(path / "lock"))
+                stack.enter_context(locked(path))
             except OSError as error:
                 raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
             if fresh and any((path / name).exists() for name in (CONFIG, METRICS)):
@@ -122,6 +124,25 @@ class RunDirectory:
     def _write_config(self, config: Mapping[str, Any]) -> None:
         with replacing(self.path / CONFIG, durable=True) as file:
             file.write((json.dumps(config, indent=2) + "\n").encode())
+
+    def config_bytes(self) -> bytes:
+        """What config.json holds; nothing if it cannot be read."""
+        try:
+            return (self.path / CONFIG).read_bytes()
+        except OSError:
+            return b""
+
+    def restore_config(self) -> str | None:
+        """Bring a lost or torn config.json back from a checkpoint; return a line if that was done.
+
+        Raises:
+            SettingError: it cannot be written, or a part of the directory leads elsewhere.
+        """
+        _check_parts(self.path)
+        try:
+            return restore_config(self.path / CONFIG, self.path / "checkpoints")
+        except OSError as error:
+            raise SettingError(f"out: cannot write to {self.path}: {error.strerror}") from None
 
     def groups(self, moved: Mapping[str, str] | None = None) -> list[Group]:
         """The sweep's groups of runs, read back from its config.
@@ -237,7 +258,7 @@ class RunDirectory:
         Raises:
             OSError: they cannot be written.
         """
-        with (self.path / METRICS).open("a") as file:
+        with (self.path / METRICS).open("a", encoding="utf-8") as file:
             file.writelines(rows)
 
     def replace_metrics(self, rows: Sequence[str]) -> None:
@@ -249,9 +270,26 @@ class RunDirectory:
         with replacing(self.path / METRICS, durable=True) as file:
             file.writelines(row.encode() for row in rows)
 
+    def count_metrics(self) -> int | None:
+        """How many lines metrics.jsonl has, whole or torn; None if it is not there."""
+        path = self.path / METRICS
+        return len(path.read_bytes().splitlines()) if path.exists() else None
+
+    def set_metrics_aside(self) -> Path:
+        """Give metrics.jsonl another name, metrics.jsonl.1 or the next that is free; return it.
+
+        Raises:
+            OSError: it cannot be renamed.
+        """
+        path = self.path / METRICS
+        names = (path.with_name(f"{METRICS}.{number}") for number in itertools.count(1))
+        aside = next(name for name in names if not name.exists())
+        path.replace(aside)
+        return aside
+
     def metrics(self) -> list[dict[str, Any]]:
         """All lines of metrics.jsonl, less one that a killed process left half written."""
-        with (self.path / METRICS).open() as file:
+        with (self.path / METRICS).open(encoding="utf-8") as file:
             return [json.loads(line) for line in file if line.endswith("\n")]
 
     def policy_path(self, run: Run) -> Path:

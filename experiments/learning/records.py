@@ -23,8 +23,8 @@ LEARNING = "learning.csv"
 
 Row = dict[str, Any]
 
-FOLDERS_ABOVE = re.compile(r'(?<=")/[^"]*/(?=experiments/[^"]*\.py:)')
-"""Where the checkout lay, in the name of an environment of its own."""
+FOLDERS_ABOVE = re.compile(r'(?<=")/[^"]*/(?=experiments/[^"]*\.py[:"])')
+"""Where the checkout lay, in names of an environment of its own and of its file."""
 
 
 def _switch(text: str) -> bool:

@@ -20,7 +20,8 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
-from cgm_jax.results.policies import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.results.plan import Plan
+from cgm_jax.results.policies import Film, Outcome, evaluate_directory, evaluate_random
 from cgm_jax.results.video import write_video
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
@@ -182,8 +183,9 @@ def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 BAD_INPUT = {
     "": "directory: name one",
     "runs --random --env reach": "random: goes with --env, not with a directory",
-    "--random": "env: goes with --random",
-    "runs --env reach": "env: goes with --random",
+    "--random": "env: --random needs one",
+    "--random --env reach push": "env: --random needs one",
+    "nowhere --env reach": "nowhere holds no sweep",
     "--random --env slide": "env: unknown environment 'slide'",
     "--random --env reach --engine bullet": "engine: unknown engine 'bullet'",
     "--random --env reach --mask xq": "mask: 'xq' is not made of x, y and z",

@@ -140,7 +140,7 @@ def test_train_learns_on_an_environment_from_the_users_own_file(tmp_path: Path) 
 
 BAD_INPUT = {
     "--env slide": "env: unknown environment 'slide'",
-    "--env nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:FACTORY",
+    "--env nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:NAME",
     "--env push --air-probability 0.5": "air_probability: the object of push",
     "--engine bullet": "engine: unknown engine 'bullet'",
     "--c-g": "c_g: needs at least one value",

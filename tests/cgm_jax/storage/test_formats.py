@@ -43,4 +43,4 @@ def test_every_committed_sweep_is_read(path: object) -> None:
     written = json.loads((folder / "config.json").read_text())["groups"]
     groups = RunDirectory(folder).groups()
     names = [run["name"] for group in written for run in group["runs"]]
-    assert [run.name for group in groups for run in group.runs] == names
+    assert sorted(run.name for group in groups for run in group.runs) == sorted(names)

@@ -153,7 +153,10 @@ def test_names_of_runs_never_leave_the_directory(name: Any, tmp_path: Path) -> N
         directory.groups()
 
 
-LINKS = ["policies", "policies/x.npz", "policies/x.npz.partial", "metrics.jsonl", "lock", CONFIG]
+LINKS = [
+    *("policies", "policies/x.npz", "policies/x.npz.partial", "checkpoints/x.npz"),
+    *("metrics.jsonl", "lock", "holder", CONFIG),
+]
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -170,6 +173,8 @@ def test_a_directory_with_a_link_is_neither_read_nor_written(link: str, tmp_path
     complaint = f"{out / link} is a symbolic link, which a run directory may not hold"
     with pytest.raises(SettingError, match=re.escape(complaint)):
         RunDirectory.open(out)
+    with pytest.raises(SettingError, match=re.escape(complaint)):
+        RunDirectory(out).restore_config()
     with (
         pytest.raises(SettingError, match=re.escape(complaint)),
         RunDirectory.claimed(out, fresh=False),

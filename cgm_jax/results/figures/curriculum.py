@@ -1,0 +1,153 @@
+"""What curricula report of themselves (see `report` in curricula/protocol.py), over training.
+
+A number per epoch is a line; several are a heat map over environment steps. An array `a_b` [k]
+belongs to an array `a` [k] of the same report, if there is one: its values then name the rows.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cgm_jax.results.figures.curves import draw_quartiles
+from cgm_jax.results.figures.labels import line_text, remarks, setting_text, title_text
+from cgm_jax.results.figures.layout import spread_colours
+from cgm_jax.results.figures.masks import best_setting, mask_label
+from cgm_jax.results.figures.panels import (
+    add_legend,
+    label_steps,
+    legend_width,
+    make_panels,
+    say_empty,
+)
+from cgm_jax.results.figures.runs import (
+    ALWAYS,
+    NothingToDraw,
+    Rows,
+    TrainedRun,
+    by_settings,
+    curves_of,
+    differing,
+    grouped,
+    rows_of,
+    runs_of,
+)
+
+MAX_TICKS = 16
+
+
+def curriculum(rows: Rows) -> Figure:
+    """All that curricula report, a panel per environment, curriculum and key.
+
+    Lines are medians over the seeds of every setting; heat maps are means over the seeds of the
+    setting with most success, which their titles name.
+
+    Raises:
+        NothingToDraw: no curriculum reports anything.
+        ValueError: runs differ in what no row tells.
+    """
+    runs = runs_of(rows)
+    names = differing(runs)
+    groups = grouped(runs, lambda run: (run.settings["env"], run.settings["curriculum"]))
+    pictures = [(same, key) for same in groups.values() for key in _reported(same)]
+    if not pictures:
+        raise NothingToDraw("its curricula report nothing")
+    labels = [_labels(same, names) for same, _ in pictures]
+    figure, panels = make_panels(
+        len(pictures), width=5.0 + legend_width(labels), height=3.6, columns=3
+    )
+    for panel, (same, key) in zip(panels, pictures, strict=True):
+        if any(isinstance(row.get(key), list) for row in rows_of(same)):
+            _draw_array(panel, best_setting(same), key, names)
+        else:
+            _draw_number(panel, same, key, names)
+        label_steps(panel)
+    return figure
+
+
+def _reported(runs: Sequence[TrainedRun]) -> list[str]:
+    """Keys of a curriculum's report, less those that only name the rows of others."""
+    keys = dict.fromkeys(key for row in rows_of(runs) for key in row.get("reported") or ())
+    return [
+        key
+        for key in keys
+        if not any(other.startswith(f"{key}_") for other in keys)
+        or not any(isinstance(row.get(key), list) for row in rows_of(runs))
+    ]
+
+
+def _labels(runs: Sequence[TrainedRun], names: Sequence[str]) -> list[str]:
+    told = [name for name in names if name not in ("env", "curriculum")]
+    return [
+        line_text(same[0].settings, told) or f"{len(same)} run{'s' * (len(same) > 1)}"
+        for same in by_settings(runs)
+    ]
+
+
+def _draw_number(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequence[str]) -> None:
+    settings = by_settings(runs)
+    drawn = zip(settings, _labels(runs, names), spread_colours(len(settings)), strict=True)
+    for same, label, colour in drawn:
+        steps, curves = curves_of(rows_of(same), lambda row: row.get(key))
+        draw_quartiles(panel, steps, curves, label + remarks(same), colour)
+    first = runs[0].settings
+    of_whom = [setting_text(name, first[name]) for name in ("env", "curriculum")]
+    panel.set_title(", ".join(of_whom), fontsize=10)
+    panel.set_ylabel(key.replace("_", " "))
+    add_legend(panel)
+
+
+def _draw_array(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequence[str]) -> None:
+    rows = [row for row in rows_of(runs) if isinstance(row.get(key), list)]
+    sizes = {np.size(row[key]) for row in rows}
+    told = list(dict.fromkeys([*ALWAYS, *names]))
+    seeds = f", mean of {len(runs)} runs" if len(runs) > 1 else ""
+    panel.set_title(title_text(runs, told) + seeds + remarks(runs), fontsize=9)
+    panel.grid(visible=False)
+    (size,) = sizes
+    columns = [curves_of(rows, lambda row, i=i: _flat(row[key])[i]) for i in range(size)]
+    steps = columns[0][0]
+    values = np.array([_mean(curves) for _, curves in columns])
+    if not np.isfinite(values).any():
+        say_empty(panel, f"{key}: no value in any epoch")
+        return
+    edges = np.concatenate([[0.0], steps])
+    panel.set_facecolor("lightgrey")  # of what has no value
+    least = min(0.0, float(np.nanmin(values)))
+    drawn = panel.pcolormesh(
+        edges, np.arange(size + 1) - 0.5, np.ma.masked_invalid(values), vmin=least, cmap="viridis"
+    )
+    bar = panel.figure.colorbar(drawn, ax=panel)  # pyright: ignore[reportAttributeAccessIssue]
+    bar.set_label(key.replace("_", " "))
+    _name_rows(panel, rows, key, size)
+
+
+def _flat(value: Any) -> list[Any]:
+    return np.array(value, object).ravel().tolist()
+
+
+def _mean(curves: np.ndarray) -> np.ndarray:
+    """Mean [epochs] of curves [runs, epochs] over runs with a value; NaN where none has one."""
+    known = np.isfinite(curves)
+    count = known.sum(axis=0)
+    total = np.where(known, curves, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _name_rows(panel: Axes, rows: Rows, key: str, size: int) -> None:
+    """Tick labels of a heat map: of masks what they keep, else the values that a row gives."""
+    kind = key.partition("_")[0]
+    shown = np.unique(np.linspace(0, size - 1, min(size, MAX_TICKS)).round().astype(int))
+    named = rows[-1].get(kind)
+    if isinstance(named, list) and len(named) == size:
+        texts = ["-" if named[i] is None else f"{named[i]:.3g}" for i in shown]
+    elif kind == "mask" and size == 1 << (size.bit_length() - 1):
+        texts = [mask_label(int(i), size.bit_length() - 1) for i in shown]
+        kind = "kept dimensions"
+    else:
+        texts = [str(i) for i in shown]
+        kind = f"{kind}, by number"
+    panel.set_yticks(shown, texts, fontsize=8)
+    panel.set_ylabel(kind)

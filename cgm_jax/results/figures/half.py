@@ -1,0 +1,230 @@
+"""Epochs until 50 % success is held, over the values of one setting (the paper's Fig. 3)."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from cgm_jax.results.figures.labels import remarks, setting_text, value_text
+from cgm_jax.results.figures.layout import Line, Panel, arrange, colour_setting, order
+from cgm_jax.results.figures.panels import add_legend, legend_width, make_panels
+from cgm_jax.results.figures.runs import (
+    NothingToDraw,
+    Rows,
+    TrainedRun,
+    check_seeds,
+    differing,
+    grouped,
+    runs_of,
+)
+from cgm_jax.results.statistics import first_to_hold, quartiles
+
+WIDE = 30.0
+"""Values whose largest is so many times the smallest stand on a logarithmic axis."""
+
+
+class Point(NamedTuple):
+    """What became of runs that differ in the seed only; in epochs or environment steps.
+
+    Attributes:
+        low: lower quartile of when they held 50 %, at most `last`.
+        median: of that.
+        high: upper quartile.
+        reached: whether the median run did.
+        last: how long they were trained.
+    """
+
+    low: float
+    median: float
+    high: float
+    reached: bool
+    last: float
+
+
+class Axis(NamedTuple):
+    """The horizontal axis.
+
+    Attributes:
+        name: the setting.
+        places: where each value stands.
+        in_order: whether values are numbers, so that a line between them means something.
+    """
+
+    name: str
+    places: dict[Any, float]
+    in_order: bool
+
+
+def epochs_to_half(rows: Rows) -> Figure:
+    """Epochs to 50 % success over c_g or kappa; where neither differs, over what else does.
+
+    A run is there once the mean of three evaluations holds 50 %. Medians over seeds, and quartiles
+    as dashed lines. Where a median run never gets there, its point is open and stands where
+    training ended. Runs without the setting are level lines. Where epochs differ in length,
+    environment steps take their place.
+
+    Raises:
+        NothingToDraw: runs differ in nothing that could be an axis.
+        ValueError: runs differ in what no row tells.
+    """
+    runs = runs_of(rows)
+    over = _setting_over_which(runs)
+    if over is None:
+        raise NothingToDraw("its runs differ in the seed and the environment at most")
+    names = differing(runs)
+    colour = "kappa" if over != "kappa" and "kappa" in names else None
+    panels = arrange(runs, colour, within=[over])
+    wide = legend_width([[line.label for line in panel.lines] for panel in panels])
+    figure, axes = make_panels(len(panels), width=5.0 + wide, height=4.0)
+    axis = _axis(over, runs)
+    for picture, panel in zip(axes, panels, strict=True):
+        _draw_panel(picture, panel, axis, alone=len(names) == 1)
+    return figure
+
+
+def _setting_over_which(runs: Sequence[TrainedRun]) -> str | None:
+    names = differing(runs)
+    return next((name for name in ("c_g", "kappa") if name in names), colour_setting(runs))
+
+
+def _axis(name: str, runs: Sequence[TrainedRun]) -> Axis:
+    values = sorted({run.settings.get(name) for run in runs} - {None}, key=order)
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+        scale = 100 if name == "c_g" else 1
+        return Axis(name, {value: scale * value for value in values}, in_order=True)
+    return Axis(name, {value: float(i) for i, value in enumerate(values)}, in_order=False)
+
+
+def _draw_panel(picture: Axes, panel: Panel, axis: Axis, *, alone: bool) -> None:
+    lengths = {run.rows[-1]["env_steps"] / run.rows[-1]["epoch"] for run in panel.runs}
+    unit = "epoch" if len(lengths) == 1 else "env_steps"
+    points = []
+    for line in panel.lines:
+        without = [run for run in line.runs if run.settings.get(axis.name) is None]
+        having = [run for run in line.runs if run.settings.get(axis.name) is not None]
+        if having:
+            label = axis_free_label(line, alone=alone)
+            points += _draw_points(picture, line, having, axis, unit, label)
+        if without:
+            point = _point(without, unit)
+            points.append(point)
+            _draw_level(picture, line, point, remarks(without))
+    _decorate(picture, axis, points, unit, lengths)
+    picture.set_title(panel.title, fontsize=10)
+    add_legend(picture)
+
+
+def axis_free_label(line: Line, *, alone: bool) -> str:
+    """A line's label; that of the only one, which has no settings of its own, is the median."""
+    return "median" if alone and line.label.endswith((" run", " runs")) else line.label
+
+
+def _draw_points(
+    picture: Axes, line: Line, runs: Sequence[TrainedRun], axis: Axis, unit: str, label: str
+) -> list[Point]:
+    """One line: quartiles over runs, at each value, of when they first hold 50 %."""
+    by_value = sorted(
+        grouped(runs, lambda run: run.settings[axis.name]).items(),
+        key=lambda pair: axis.places[pair[0]],
+    )
+    points = [_point(same, unit) for _, same in by_value]
+    places = np.array([axis.places[value] for value, _ in by_value])
+    low, median, high, reached, _ = np.array(points).T
+    reached = reached.astype(bool)
+    style = line.style if axis.in_order else ""
+    (drawn,) = picture.plot(
+        places, median, style, label=label + remarks(runs), color=line.colour, zorder=3
+    )
+    colour = drawn.get_color()
+    picture.plot(places[reached], median[reached], "o", color=colour, zorder=4)
+    picture.plot(places[~reached], median[~reached], "o", color=colour, mfc="white", zorder=4)
+    if not axis.in_order:
+        drawn.set_marker("o")  # for the legend
+        drawn.set_markerfacecolor("none")
+    if any(len(same) > 1 for _, same in by_value):
+        if axis.in_order and len(places) > 1:
+            picture.plot(places, low, linestyle="--", linewidth=0.8, color=colour)
+            picture.plot(places, high, linestyle="--", linewidth=0.8, color=colour)
+        else:
+            picture.vlines(places, low, high, color=colour, linewidth=0.8, linestyle="--")
+    return points
+
+
+def _draw_level(picture: Axes, line: Line, point: Point, remark: str) -> None:
+    label = line.label if point.reached else f"{line.label}, not reached"
+    style = "-." if line.style == "-" else line.style
+    picture.axhline(point.median, color=line.colour, linestyle=style, label=label + remark)
+
+
+def _point(runs: Sequence[TrainedRun], unit: str) -> Point:
+    check_seeds(runs)
+    reached = [first_to_hold(run.rows, 0.5) for run in runs]
+    low, median, high = quartiles([row[unit] if row else math.inf for row in reached])
+    last = max(run.rows[-1][unit] for run in runs)
+    return Point(min(low, last), min(median, last), min(high, last), math.isfinite(median), last)
+
+
+def _decorate(
+    picture: Axes, axis: Axis, points: Sequence[Point], unit: str, lengths: set[float]
+) -> None:
+    """Axes, and what open points and epochs mean."""
+    last = max(point.last for point in points)
+    if not all(point.reached for point in points):
+        _explain_open(picture, {point.last for point in points}, unit)
+    if axis.name == "c_g":
+        picture.set_xlabel("target success rate $c_g$ (%)")
+    else:
+        picture.set_xlabel("$\\kappa$" if axis.name == "kappa" else axis.name.replace("_", " "))
+    places = list(axis.places.values())
+    if not axis.in_order:
+        texts = [_tick(axis.name, value) for value in axis.places]
+        long = max(map(len, texts)) * len(texts) > 40
+        picture.set_xticks(
+            places, texts, rotation=30 if long else 0, ha="right" if long else "center"
+        )
+        picture.set_xlim(-0.5, len(places) - 0.5)
+    elif min(places) > 0 and max(places) > WIDE * min(places):
+        picture.set_xscale("log")
+    picture.set_ylim(0, last * 1.12)
+    if unit == "epoch":
+        (length,) = lengths
+        picture.set_ylabel("epochs to 50 % success")
+        picture.yaxis.set_major_locator(MaxNLocator(integer=True))
+        picture.annotate(
+            f"an epoch: {length:,.0f} env_steps",
+            (0.98, 0.02),
+            xycoords="axes fraction",
+            horizontalalignment="right",
+            fontsize=8,
+            color="grey",
+        )
+    else:
+        picture.set_ylabel("env_steps to 50 % success")
+        picture.yaxis.set_major_formatter(lambda steps, _: f"{steps:,.0f}")
+
+
+def _tick(name: str, value: Any) -> str:
+    named = name in ("curriculum", "agent") or isinstance(value, bool)
+    return setting_text(name, value) if named else value_text(value)
+
+
+def _explain_open(picture: Axes, lasts: set[float], unit: str) -> None:
+    last = max(lasts)
+    text = "not within the training (open)"
+    if len(lasts) == 1:
+        picture.axhline(last, color="grey", linewidth=0.8, linestyle=":")
+        count = f"{last} epochs" if unit == "epoch" else f"{last:,} env_steps"
+        text = f"not within {count} (open)"
+    picture.annotate(
+        text,
+        (0.02, last),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 3),
+        textcoords="offset points",
+        fontsize=8,
+        color="grey",
+    )

@@ -1,0 +1,111 @@
+"""Success of masked goals: what is estimated of each mask, and what training made of it."""
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cgm_jax.results.figures.curves import draw_quartiles
+from cgm_jax.results.figures.labels import remarks, title_text
+from cgm_jax.results.figures.panels import (
+    add_legend,
+    label_steps,
+    label_success,
+    make_panels,
+    say_empty,
+)
+from cgm_jax.results.figures.runs import (
+    ALWAYS,
+    NothingToDraw,
+    Row,
+    Rows,
+    TrainedRun,
+    by_settings,
+    curves_of,
+    differing,
+    grouped,
+    mean_success,
+    rows_of,
+    runs_of,
+)
+
+ALL_MASKS = 8
+"""Where there are more masks, only those of one dimension and the full goal are drawn."""
+
+KINDS = (("mask_rate_estimated", "estimated"), ("mask_rate_training", "training"))
+
+
+def mask_success(rows: Rows) -> Figure:
+    """Estimated and training success per mask, for each curriculum of masks in its best setting.
+
+    The paper's Fig. 5. A pair of panels per environment and curriculum.
+
+    Raises:
+        NothingToDraw: no run drew masks, or goals have too many dimensions to count by mask.
+        ValueError: runs differ in what no row tells.
+    """
+    runs = runs_of(rows)
+    masked = [run for run in runs if _draws_masks(run)]
+    if not masked:
+        raise NothingToDraw("no run drew masks, or they are too many to count each")
+    groups = grouped(masked, lambda run: (run.settings["env"], run.settings["curriculum"]))
+    told = list(dict.fromkeys([*ALWAYS, *differing(runs)]))
+    figure, panels = make_panels(2 * len(groups), width=5.0, height=4.0, columns=2)
+    for pair, same in zip(
+        zip(panels[::2], panels[1::2], strict=True), groups.values(), strict=True
+    ):
+        best = best_setting(same)
+        for panel, (name, kind) in zip(pair, KINDS, strict=True):
+            _draw_masks(panel, best, name)
+            panel.set_title(title_text(best, told) + remarks(best), fontsize=10)
+            label_steps(panel)
+            label_success(panel, f"{kind} success of masked goal")
+    return figure
+
+
+def best_setting(runs: Sequence[TrainedRun]) -> list[TrainedRun]:
+    """Of runs of several settings, those of the one with most success over all of training.
+
+    Raises:
+        ValueError: runs differ in what no row tells.
+    """
+    return max(by_settings(runs), key=mean_success)
+
+
+def mask_label(mask: int, size: int) -> str:
+    """The kept dimensions of a mask, such as "x z" for 5 of 8."""
+    names = "xyz" if size == 3 else [str(i + 1) for i in range(size)]
+    kept = [names[i] for i in range(size) if mask >> (size - 1 - i) & 1]
+    return " ".join(kept) or "none"
+
+
+def _draws_masks(run: TrainedRun) -> bool:
+    """Whether there is an estimate, or a training success of another mask than the full one."""
+
+    def known(row: Row) -> bool:
+        estimated, training = (row.get(name) or [] for name, _ in KINDS)
+        return any(rate is not None for rate in [*estimated, *training[:-1]])
+
+    return any(map(known, run.rows))
+
+
+def _draw_masks(panel: Axes, runs: Sequence[TrainedRun], name: str) -> None:
+    rows = [row for row in rows_of(runs) if row.get(name)]
+    if not any(rate is not None for row in rows for rate in row[name]):
+        say_empty(panel, "no value in any epoch")
+        return
+    masks = len(rows[0][name])
+    size = masks.bit_length() - 1
+    title = "kept dimensions"
+    shown = list(range(masks))
+    if masks > ALL_MASKS:
+        shown = [*(1 << i for i in reversed(range(size))), masks - 1]
+        title = f"kept dimensions\n({len(shown)} of {masks:,} masks)"
+    colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, len(shown)))
+    for mask, colour in zip(shown, colours, strict=True):
+        steps, curves = curves_of(rows, lambda row, mask=mask: row[name][mask])
+        if np.isfinite(curves).any():
+            draw_quartiles(panel, steps, curves, mask_label(mask, size), colour)
+    add_legend(panel, title=title)
