@@ -42,14 +42,14 @@ def other_value(item: "Field[Any]") -> Any:
         return not default
     if isinstance(default, int):
         return default + 1
-    low, high = item.metadata["low"], item.metadata["high"]
-    return low + 0.3 * (min(high, low + 2.0 * abs(default) + 1.0) - low)
+    low = max(item.metadata["low"], default - 1.0)
+    return low + 0.3 * (min(item.metadata["high"], low + 2.0 * abs(default) + 1.0) - low)
 
 
 def critics_for(name: str) -> int:
     """One critic, which compiles fastest, or three where a curriculum asks for several."""
     try:
-        jax.eval_shape(TRAINER.init, hyperparameters(curriculum=name, hidden_layers=(8,)))
+        jax.eval_shape(TRAINER.init, hyperparameters(curriculum=name, critics=1))
     except SettingError:
         return 3
     return 1
@@ -113,11 +113,17 @@ def value(observation: jax.Array, goal: jax.Array) -> jax.Array:
     return jnp.stack([-far, -2.0 * far, -3.0 * far])
 
 
+def further_goals(key: jax.Array, count: int) -> jax.Array:
+    """Goals that the environment draws, [count, n]."""
+    return reset(ENV, key, count).obs["desired_goal"]
+
+
 def view_and_goals(state: TrainingState) -> tuple[View, Goals]:
     """What a curriculum sees of one run, and what the environment drew."""
     first = reset(ENV, jax.random.key(3), COUNT)
     filled = jnp.minimum(state.replay.inserted, len(state.replay.episodes.mask))
-    return View(first, state.replay.episodes.achieved_goal, filled, value), drawn_goals(ENV, first)
+    view = View(first, state.replay.episodes.achieved_goal, filled, value, further_goals)
+    return view, drawn_goals(ENV, first)
 
 
 def outcomes(curriculum: Any, goals: Goals, valid: np.ndarray, invalid_success: bool) -> Outcomes:
