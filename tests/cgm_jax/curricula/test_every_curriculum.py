@@ -206,14 +206,15 @@ def test_runs_with_other_settings_are_vmapped(name: str) -> None:
 def test_episodes_with_broken_physics_change_nothing(name: str) -> None:
     done = trained(name)
     curriculum, before = done.curriculum, done.own_state()
-    _, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
+    view, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
     curriculum = jax.tree.map(lambda leaf: leaf[0], curriculum)
+    goals = curriculum.sample(before, jax.random.key(6), drawn, view)
     some = np.arange(COUNT) % 3 > 0
     for learn in (curriculum.after_training, curriculum.after_evaluation):
-        nothing = outcomes(curriculum, drawn, np.zeros(COUNT, bool), invalid_success=True)
+        nothing = outcomes(curriculum, goals, np.zeros(COUNT, bool), invalid_success=True)
         assert_same(learn(before, nothing), before)
         one, other = (
-            learn(before, outcomes(curriculum, drawn, some, invalid_success=success))
+            learn(before, outcomes(curriculum, goals, some, invalid_success=success))
             for success in (True, False)
         )
         assert_same(one, other)
