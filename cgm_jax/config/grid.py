@@ -183,7 +183,7 @@ def _combinations(grid: Grid) -> list[Values]:
     """The product of all axes, less runs that differ only in what has no effect."""
     runs: dict[Any, Values] = {}
     for chosen in itertools.product(*(_names(grid, kind) for kind in ROOMS)):
-        components = dict(zip(ROOMS, chosen, strict=True))
+        components = dict(zip(ROOMS, map(absolute, chosen), strict=True))
         classes = {kind: component(kind, name) for kind, name in components.items()}
         fields = dict(LOOP_FIELDS)
         for found in classes.values():

@@ -32,6 +32,13 @@ def test_its_own_setting_is_swept_in_one_program() -> None:
     ]
 
 
+def test_its_file_is_found_again_from_any_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parent)
+    options = {"env": [POINT_MASS], "curriculum": ["my_curriculum.py:Growing"]}
+    ((run,),) = (group.runs for group in build_groups("smoke", options))
+    assert run.values["curriculum"] == GROWING
+
+
 def test_a_wrong_value_and_another_curriculums_setting_are_refused() -> None:
     chosen = {"env": [POINT_MASS], "curriculum": [GROWING]}
     with pytest.raises(SettingError, match=r"gain: 1\.5 is not within \[0, 1\]"):

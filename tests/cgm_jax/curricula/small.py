@@ -67,7 +67,9 @@ class Chances:
         return self._state(jnp.zeros(3), jax.random.bernoulli(rng))
 
     def step(self, state: State, action: jax.Array) -> State:
-        luck = action[0] > 0 if self.by_action else state.pipeline_state
+        luck: Any = state.pipeline_state
+        if self.by_action:
+            luck = action[0] > 0
         third = jnp.where(luck, 1.0, -1.0)
         return self._state(jnp.zeros(3).at[2].set(third), state.pipeline_state)
 
@@ -93,8 +95,8 @@ class Distances:
 
     def step(self, state: State, action: jax.Array) -> State:
         del action
-        achieved = jnp.where(state.pipeline_state, 0.85, 0.75)
-        return self._state(achieved[None], state.pipeline_state)
+        luck: Any = state.pipeline_state
+        return self._state(jnp.where(luck, 0.85, 0.75)[None], luck)
 
     def _state(self, achieved_goal: jax.Array, luck: Any) -> State:
         obs = {

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.accuracy import Accuracy
+from cgm_jax.curricula.accuracy import Accuracy, AccuracyState
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.training import make_trainer
@@ -11,7 +11,9 @@ from tests.cgm_jax.curricula.small import SMALL, Distances, epochs, sizes
 from tests.cgm_jax.probe import tiny
 
 
-def after(curriculum: Accuracy, state: object, thresholds: jax.Array, success: list[int]) -> object:
+def after(
+    curriculum: Accuracy, state: AccuracyState, thresholds: jax.Array, success: list[int]
+) -> AccuracyState:
     count = len(success)
     goals = Goals(jnp.zeros((count, 1)), jnp.ones((count, 1)), thresholds)
     outcomes = Outcomes(

@@ -17,7 +17,7 @@ from cgm_jax.curricula.masks import goal_masks
 from cgm_jax.curricula.protocol import Goals, View
 from tests.cgm_jax.curricula.small import sizes
 
-VIEW = View(None, jnp.zeros(()), jnp.zeros(()), lambda observation, goal: goal)
+VIEW = View(None, jnp.zeros(()), jnp.zeros(()), lambda *_: jnp.zeros(1), lambda *_: jnp.zeros(1))
 SLIDERS = Path(__file__).parents[3] / "experiments/learning/sliders.py"
 
 

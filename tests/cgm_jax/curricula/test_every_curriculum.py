@@ -37,18 +37,19 @@ TRAINER = make_trainer(ENV, SETTINGS)
 
 def other_value(item: "Field[Any]") -> Any:
     """A value of a traced setting that is not its default."""
-    if isinstance(item.default, bool):
-        return not item.default
-    if isinstance(item.default, int):
-        return item.default + 1
-    low, high = item.metadata["low"], item.metadata["high"]
-    return low + 0.3 * (min(high, low + 2.0 * abs(item.default) + 1.0) - low)
+    default: Any = item.default
+    if isinstance(default, bool):
+        return not default
+    if isinstance(default, int):
+        return default + 1
+    low = max(item.metadata["low"], default - 1.0)
+    return low + 0.3 * (min(item.metadata["high"], low + 2.0 * abs(default) + 1.0) - low)
 
 
 def critics_for(name: str) -> int:
     """One critic, which compiles fastest, or three where a curriculum asks for several."""
     try:
-        jax.eval_shape(TRAINER.init, hyperparameters(curriculum=name, hidden_layers=(8,)))
+        jax.eval_shape(TRAINER.init, hyperparameters(curriculum=name, critics=1))
     except SettingError:
         return 3
     return 1
@@ -112,11 +113,17 @@ def value(observation: jax.Array, goal: jax.Array) -> jax.Array:
     return jnp.stack([-far, -2.0 * far, -3.0 * far])
 
 
+def further_goals(key: jax.Array, count: int) -> jax.Array:
+    """Goals that the environment draws, [count, n]."""
+    return reset(ENV, key, count).obs["desired_goal"]
+
+
 def view_and_goals(state: TrainingState) -> tuple[View, Goals]:
     """What a curriculum sees of one run, and what the environment drew."""
     first = reset(ENV, jax.random.key(3), COUNT)
     filled = jnp.minimum(state.replay.inserted, len(state.replay.episodes.mask))
-    return View(first, state.replay.episodes.achieved_goal, filled, value), drawn_goals(ENV, first)
+    view = View(first, state.replay.episodes.achieved_goal, filled, value, further_goals)
+    return view, drawn_goals(ENV, first)
 
 
 def outcomes(curriculum: Any, goals: Goals, valid: np.ndarray, invalid_success: bool) -> Outcomes:
@@ -199,14 +206,15 @@ def test_runs_with_other_settings_are_vmapped(name: str) -> None:
 def test_episodes_with_broken_physics_change_nothing(name: str) -> None:
     done = trained(name)
     curriculum, before = done.curriculum, done.own_state()
-    _, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
+    view, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
     curriculum = jax.tree.map(lambda leaf: leaf[0], curriculum)
+    goals = curriculum.sample(before, jax.random.key(6), drawn, view)
     some = np.arange(COUNT) % 3 > 0
     for learn in (curriculum.after_training, curriculum.after_evaluation):
-        nothing = outcomes(curriculum, drawn, np.zeros(COUNT, bool), invalid_success=True)
+        nothing = outcomes(curriculum, goals, np.zeros(COUNT, bool), invalid_success=True)
         assert_same(learn(before, nothing), before)
         one, other = (
-            learn(before, outcomes(curriculum, drawn, some, invalid_success=success))
+            learn(before, outcomes(curriculum, goals, some, invalid_success=success))
             for success in (True, False)
         )
         assert_same(one, other)

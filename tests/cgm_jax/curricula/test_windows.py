@@ -21,7 +21,7 @@ def test_windows_hold_the_latest_episodes_of_each_thing(length: int) -> None:
                 kept[thing[i]].append(float(success[i]))
         latest = [episodes[-length:] for episodes in kept]
         rates = [np.mean(episodes) if episodes else 0.25 for episodes in latest]
-        np.testing.assert_allclose(window_rates(windows, 0.25), rates, atol=1e-6)
+        np.testing.assert_allclose(window_rates(windows, 0.25), np.array(rates), atol=1e-6)
         changes = []
         for episodes in latest:
             half = len(episodes) // 2
