@@ -149,14 +149,18 @@ def name_own_code(grid: Grid) -> None:
 def chosen_values(options: Any) -> Grid:
     """The lists that the user gave, by setting; own code in them may run from now on."""
     grid: Grid = {}
+    fields = LOOP_FIELDS | builtin_fields()
+    switches = {name for name, item in fields.items() if isinstance(item.default, bool)}
     for item in dataclasses.fields(SettingOptions):
         values = getattr(options, item.name)
         if values is None:
             continue
         if item.name == "hidden_layers":
             grid[item.name] = _layers(values)
+        elif item.name in switches:
+            grid[item.name] = [SWITCH[value] for value in values]
         else:
-            grid[item.name] = [SWITCH.get(value, value) for value in values]
+            grid[item.name] = list(values)
     name_own_code(grid)
     return grid | dict(_own_setting(text) for text in options.set)
 
