@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 
-.PHONY: setup sweep test test-slow test-sb3 lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -36,6 +36,10 @@ $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	$(VENV)-sb3/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
 	touch $@
+
+# Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.
+faults: setup
+	$(RUN) -m tests.cgm_jax.faults --out experiments/results/faults/faults.csv $(ARGS)
 
 lint: setup
 	$(RUN) -m ruff check .

@@ -3,24 +3,30 @@
 With `--video` also as a film, and with `--random` for random actions instead of policies.
 """
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.command_line import name_own_code, owns_process, parse, run_program
+from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.results.plan import Plan
 from cgm_jax.results.statistics import wilson_interval
 
 if TYPE_CHECKING:
+    from cgm_jax.host.progress import CountProgress
     from cgm_jax.results.policies import Outcome
 
 VIDEO_FORMATS = (".mp4", ".gif")
-WIDTH_STEP, GREATEST_WIDTH = 64, 1280
+MAX_VIDEO_EPISODES = 1000
+WIDTH_STEP, MAX_WIDTH = 64, 1280
 """Encoders want both sides to be multiples of 16, and the height is three quarters."""
 
 
@@ -37,8 +43,19 @@ class EvaluateOptions:
     random: bool = False
     """Take uniformly random actions in --env instead of a directory's policies."""
 
-    env: str | None = None
-    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own."""
+    env: tuple[str, ...] | None = None
+    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own. With a directory:
+    a file that its policies were trained on, if it has moved, was edited, or was never named on
+    this machine; so --curriculum, --agent and --relabelling."""
+
+    curriculum: tuple[str, ...] | None = None
+    """See --env."""
+
+    agent: tuple[str, ...] | None = None
+    """See --env."""
+
+    relabelling: tuple[str, ...] | None = None
+    """See --env."""
 
     engine: str | None = None
     """auto, native, mjx or warp (default: what the run was trained on; auto for --random)."""
@@ -66,13 +83,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
-    prepare_jax()
-    outcomes = _evaluate(options)
-    for line in _report(outcomes, options.mask):
-        print(line)
-    if options.video is not None:
-        best = max(outcomes, key=lambda name: outcomes[name].success_rate)
-        print(_film(best, outcomes[best], len(outcomes), options.video, options))
+    plan = _plan(options)
+    name_own_code(_named(options))
+    with Interruption(
+        ends_process=owns_process(), first_words="stopping", last_words="stopped"
+    ) as interruption:
+        prepare_jax()
+        outcomes = _evaluate(options, plan)
+        for line in _report(outcomes, options.mask):
+            print(line)
+        if options.video is not None:
+            interruption.expendable = False  # there are a file and an encoder to clear away
+            best = max(outcomes, key=lambda name: outcomes[name].success_rate)
+            print(_film(best, outcomes[best], len(outcomes), options, interruption))
     return 0
 
 
@@ -82,19 +105,15 @@ def _check(options: EvaluateOptions) -> None:
     Raises:
         SettingError: an option is out of its range, or does not go with another.
     """
-    ranges = {"episodes": (1, 10**6), "seed": (0, 2**31 - 1), "video_episodes": (1, 1000)}
-    for name, (low, high) in ranges.items():
-        value = getattr(options, name)
-        if not low <= value <= high:
-            raise SettingError(f"{name}: {value} is not within [{low}, {high}]")
+    if not 1 <= options.video_episodes <= MAX_VIDEO_EPISODES:
+        bounds = f"[1, {MAX_VIDEO_EPISODES}]"
+        raise SettingError(f"video_episodes: {options.video_episodes} is not within {bounds}")
     if options.random and (options.directory is not None or options.run is not None):
         raise SettingError("random: goes with --env, not with a directory or a run")
-    if options.random != (options.env is not None):
-        raise SettingError("env: goes with --random, and --random needs it")
+    if options.random and len(options.env or ()) != 1:
+        raise SettingError("env: --random needs one")
     if not options.random and options.directory is None:
         raise SettingError("directory: name one to evaluate its policies, or give --random --env")
-    if set(options.mask) - set("xyz") or len(set(options.mask)) < len(options.mask):
-        raise SettingError(f"mask: {options.mask!r} is not made of x, y and z, each at most once")
     if options.video is not None:
         _check_video(options.video, options.video_width)
 
@@ -104,13 +123,24 @@ def _check_video(path: Path, width: int) -> None:
         raise SettingError(f"video: {path} ends neither in .mp4 nor in .gif")
     if not path.parent.is_dir():
         raise SettingError(f"video: {path.parent} is no directory")
-    if width % WIDTH_STEP or not WIDTH_STEP <= width <= GREATEST_WIDTH:
-        bounds = f"a multiple of {WIDTH_STEP} within [{WIDTH_STEP}, {GREATEST_WIDTH}]"
+    if width % WIDTH_STEP or not WIDTH_STEP <= width <= MAX_WIDTH:
+        bounds = f"a multiple of {WIDTH_STEP} within [{WIDTH_STEP}, {MAX_WIDTH}]"
         raise SettingError(f"video_width: {width} is not {bounds}")
 
 
-def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
-    from cgm_jax.results.policies import Plan, evaluate_directory, evaluate_random
+def _plan(options: EvaluateOptions) -> Plan:
+    return Plan(
+        episodes=options.episodes,
+        seed=options.seed,
+        mask=options.mask,
+        filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
+        engine=options.engine,
+    )
+
+
+def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
+    from cgm_jax.host.progress import CountProgress
+    from cgm_jax.results.policies import evaluate_directory, evaluate_random
     from cgm_jax.storage.run_directory import RunDirectory
 
     if options.video is not None:
@@ -120,17 +150,20 @@ def _evaluate(options: EvaluateOptions) -> "dict[str, Outcome]":
             check_rendering()
         except RenderingError as error:
             raise SettingError(f"video: {error}") from None
-    plan = Plan(
-        episodes=options.episodes,
-        seed=options.seed,
-        mask=options.mask,
-        filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
-        engine=options.engine,
-    )
-    if options.env is not None:
-        return {"random": evaluate_random(Settings(env=options.env), plan)}
-    assert options.directory is not None
-    return evaluate_directory(RunDirectory.open(options.directory), plan, options.run)
+    named = _named(options)
+    with CountProgress("episodes") as progress:
+        if options.directory is None:
+            settings = Settings(env=named["env"][0])
+            return {"random": evaluate_random(settings, plan, progress.show)}
+        if (restored := RunDirectory(options.directory).restore_config()) is not None:
+            print(restored, file=sys.stderr)
+        directory = RunDirectory.open(options.directory)
+        moved = directory.moved(named)
+        return evaluate_directory(directory, plan, options.run, moved, progress.show)
+
+
+def _named(options: EvaluateOptions) -> dict[str, list[str]]:
+    return {setting: list(getattr(options, setting) or ()) for setting in NAMES}
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
@@ -152,25 +185,45 @@ def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
     return lines
 
 
-def _film(name: str, outcome: "Outcome", runs: int, path: Path, options: EvaluateOptions) -> str:
+def _film(
+    name: str,
+    outcome: "Outcome",
+    runs: int,
+    options: EvaluateOptions,
+    interruption: Interruption,
+) -> str:
     """Write the video, and say what is in it."""
     from cgm_jax.envs.fetch import FetchEnvironment
-    from cgm_jax.results.video import film_frames, write_video
+    from cgm_jax.host.progress import CountProgress
+    from cgm_jax.results.video import count_frames, film_frames, write_video
 
-    film = outcome.film
-    assert film is not None
-    assert isinstance(outcome.env, FetchEnvironment)
+    film, path = outcome.film, options.video
+    if film is None or path is None or not isinstance(outcome.env, FetchEnvironment):
+        raise SettingError("video: nothing was filmed")
     shown = int(film.valid.sum())
     if not shown:
         return f"{path} is not written: no valid episode among the first {options.video_episodes}"
     solved = int((film.achieved[:, -1] & film.valid).sum())
+    frames = film_frames(outcome.env, film, options.mask, options.video_width)
     try:
-        write_video(path, film_frames(outcome.env, film, options.mask, options.video_width))
+        with CountProgress("pictures") as progress:
+            write_video(path, _watched(frames, count_frames(film), progress, interruption))
     except OSError as error:
         raise SettingError(f"video: cannot write {path}: {error}") from None
     episodes = f"{shown} episode{'s' if shown > 1 else ''}"
     which = f"{name}, the best of {runs}" if runs > 1 else name
     return f"{path}: {episodes} of {which}; the goal is achieved in {solved}"
+
+
+def _watched(
+    frames: Iterable[Any], total: int, progress: "CountProgress", interruption: Interruption
+) -> Iterator[Any]:
+    """Hand pictures on until a signal comes."""
+    for number, frame in enumerate(frames):
+        if interruption.requested:
+            raise KeyboardInterrupt
+        progress.show(number, total)
+        yield frame
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """
 
 from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax
-from cgm_jax.envs.goal_environment import GoalEnvironment
+from cgm_jax.envs.goal_environment import GoalEnvironment, StartableEnvironment
 from cgm_jax.envs.make import ENGINES, TASKS, make
 
-__all__ = ["ENGINES", "TASKS", "GoalEnvironment", "make"]
+__all__ = ["ENGINES", "TASKS", "GoalEnvironment", "StartableEnvironment", "make"]

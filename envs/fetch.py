@@ -15,10 +15,10 @@ from cgm_jax.envs.tasks import Task
 OFFSET_RANGE = 0.15
 """Object and goal lie within this of the initial grip position, in x and in y (m)."""
 
-LEAST_OBJECT_DISTANCE = 0.1
+MIN_OBJECT_DISTANCE = 0.1
 """Horizontal distance of the object from the initial grip position, at least (m)."""
 
-GREATEST_GOAL_HEIGHT = 0.45
+MAX_GOAL_HEIGHT = 0.45
 """A goal in the air lies up to this above the object's resting height (m)."""
 
 
@@ -92,6 +92,12 @@ class FetchEnvironment(Env):
             positions = positions.at[here].set(object_xy)
         return self._state(self.physics.start(positions), jnp.asarray(desired_goal, jnp.float32))
 
+    def restart(self, state: State) -> State:
+        """Begin an episode in a state that an earlier one visited, with its goal."""
+        physics_state: PhysicsState = state.pipeline_state  # pyright: ignore[reportAssignmentType]
+        anew = physics_state.replace(warnings=jnp.zeros_like(physics_state.warnings))
+        return self._state(anew, state.obs["desired_goal"])
+
     def step(self, state: State, action: jax.Array) -> State:
         """Advance by one control step of 0.04 s with `action` [4] in [-1, 1].
 
@@ -112,7 +118,7 @@ class FetchEnvironment(Env):
         reset gets the last draw.
         """
         draws = jax.random.uniform(key, (32, 2), minval=-OFFSET_RANGE, maxval=OFFSET_RANGE)
-        accepted = jnp.linalg.norm(draws, axis=-1) >= LEAST_OBJECT_DISTANCE
+        accepted = jnp.linalg.norm(draws, axis=-1) >= MIN_OBJECT_DISTANCE
         first = jnp.where(accepted.any(), jnp.argmax(accepted), len(draws) - 1)
         return jnp.asarray(self.scene.grip_home[:2], jnp.float32) + draws[first]
 
@@ -123,7 +129,7 @@ class FetchEnvironment(Env):
         goal = jnp.asarray(self.scene.grip_home, jnp.float32) + offset
         if self.scene.object_home is None:
             return goal
-        height = jnp.where(air < self.air_probability, GREATEST_GOAL_HEIGHT * height, 0.0)
+        height = jnp.where(air < self.air_probability, MAX_GOAL_HEIGHT * height, 0.0)
         return goal.at[2].set(self.scene.object_home[2] + height)
 
     def _state(self, physics_state: PhysicsState, desired_goal: jax.Array) -> State:

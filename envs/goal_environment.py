@@ -1,4 +1,4 @@
-"""What an environment must offer to be trained on."""
+"""What an environment must offer to be trained on, and what more it may offer."""
 
 from typing import Protocol
 
@@ -20,6 +20,10 @@ class GoalEnvironment(Protocol):
 
     An engine that detects broken physics sets `State.metrics["physics_warnings"]` to
     something above 0; the trainer then drops the episode, as it drops non-finite ones.
+
+    Reward, done and the other metrics may be anything, and differ between `reset` and `step`. The
+    goal stays what it was for the whole episode; and what an environment keeps for itself, in
+    `pipeline_state`, in `info` or in further entries of `obs`, keeps its shapes.
 
     Attributes:
         action_size: number of action dimensions, each in [-1, 1].
@@ -48,4 +52,18 @@ class GoalEnvironment(Protocol):
 
     def step(self, state: State, action: jax.Array) -> State:
         """Advance by one control step with `action` [action_size]."""
+        ...
+
+
+class StartableEnvironment(GoalEnvironment, Protocol):
+    """An environment whose episodes can also begin in a state that an earlier one visited.
+
+    Optional: curricula that choose where to begin need it, and it is recognised by its method.
+    """
+
+    def restart(self, state: State) -> State:
+        """Begin an episode in `state`, as it is, with the goal that it holds.
+
+        Whatever counts within an episode, such as steps or warnings, begins anew.
+        """
         ...

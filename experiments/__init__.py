@@ -4,6 +4,7 @@ The listing:
 
     run.py        trains, draws and tabulates the questions of plans.toml
     report.py     the tables and numbers of README.md, from records
+    screens/      what README.md shows of questions once there is a record of them
     learning/     questions of learning
     physics/      questions of physics
     results/      records of what was trained and measured; figures and tables made from them

@@ -4,8 +4,9 @@ Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP (`--runs`), 
 from where it stopped. What is done is then recorded in results/sweeps/SWEEP. From those records
 come tables and figures in results/QUESTION, and the tables and numbers of README.md.
 
-`--draw` trains nothing and draws from what is on record; `--report` only brings README.md up to
-date, and takes no question.
+`--train` trains and leaves the records as they are, so that a checkout stays at its commit;
+`--draw` trains nothing, records what is done and draws; `--report` only brings README.md up to
+date, and takes no question. `--only` trains, or records, some of the questions' sweeps.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from matplotlib.figure import Figure
 from cgm_jax.results.figures import epochs_to_half, learning_curves, mask_success
 from cgm_jax.storage.run_directory import RunDirectory
 from experiments.learning.comparison import comparison
+from experiments.learning.overview import overview
 from experiments.learning.paired import comparisons
 from experiments.learning.plans import (
     Plans,
@@ -28,7 +30,14 @@ from experiments.learning.plans import (
     planned_settings,
     read_plans,
 )
-from experiments.learning.records import RecordedRun, Row, record, recorded_runs, recorded_settings
+from experiments.learning.records import (
+    RecordedRun,
+    Row,
+    record,
+    recorded_runs,
+    recorded_settings,
+    same_runs,
+)
 from experiments.learning.tables import Runs, learning_speed, metrics_of
 from experiments.learning.train import train
 from experiments.report import README, regenerated
@@ -38,6 +47,7 @@ RUNS = Path("runs") / "experiments"
 RESULTS = Path(__file__).parent / "results"
 FIGURES: dict[str, Callable[[Runs], Figure]] = {
     "comparison": comparison,
+    "overview": overview,
     "learning_curves": lambda runs: learning_curves(metrics_of(runs)),
     "epochs_to_half": lambda runs: epochs_to_half(metrics_of(runs)),
     "mask_success": lambda runs: mask_success(metrics_of(runs)),
@@ -51,7 +61,7 @@ def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
         ValueError: on record are other runs than are planned now.
     """
     recorded = [settings for _, settings in recorded_settings(sweep)]
-    if recorded and recorded != planned_settings(planned):
+    if recorded and not same_runs(recorded, planned_settings(planned)):
         raise ValueError(f"{sweep}: on record are other runs than are planned; train it again")
     return recorded_runs(sweep)
 
@@ -90,8 +100,13 @@ def main() -> None:
     plans = read_plans()
     parser = argparse.ArgumentParser(prog="python -m experiments.run")
     parser.add_argument("questions", nargs="*", metavar="QUESTION", help=", ".join(plans.questions))
-    parser.add_argument("--draw", action="store_true", help="train nothing, draw from the records")
-    parser.add_argument("--report", action="store_true", help="only bring README.md up to date")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--train", action="store_true", help="only train, and record nothing")
+    mode.add_argument("--draw", action="store_true", help="train nothing, draw from the records")
+    mode.add_argument("--report", action="store_true", help="only bring README.md up to date")
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="SWEEP", help="of the questions' sweeps only these"
+    )
     parser.add_argument(
         "--runs",
         type=Path,
@@ -113,10 +128,15 @@ def main() -> None:
         parser.error("name questions to answer, or give --report alone")
     if options.at_once < 1:
         parser.error(f"--at-once: {options.at_once} is not at least 1")
-    sweeps = {sweep: None for name in options.questions for sweep in plans.questions[name].sweeps}
+    sweeps = [sweep for name in options.questions for sweep in plans.questions[name].sweeps]
+    if unknown := [name for name in options.only if name not in sweeps]:
+        parser.error(f"--only: {unknown[0]!r} is no sweep of theirs; there are {', '.join(sweeps)}")
+    sweeps = list(dict.fromkeys(options.only or sweeps))
     if not (options.draw or options.report):
         asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps}
         train(asked_for, options.runs, options.at_once)
+    if options.train:
+        return
     for sweep in sweeps:
         trained = RunDirectory(options.runs / sweep)
         if trained.holds_sweep():

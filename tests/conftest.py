@@ -1,9 +1,22 @@
 """Settings for all tests; imported by pytest before anything of JAX."""
 
+import atexit
 import os
+import shutil
+import tempfile
 
 # Tests compile many small programs and run them briefly.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+# What tests name on their command lines is not named by whoever runs them.
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="cgm_jax-tests-")
+atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
+
+from jaxtyping import install_import_hook  # noqa: E402
+
+# Shapes and types that annotations of these modules tell are checked at every call in tests.
+CHECKED = ("cgm_jax.agents.networks", "cgm_jax.curricula.goals")
+install_import_hook(CHECKED, "beartype.beartype")
+
+import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax

@@ -15,10 +15,23 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from cgm_jax.agents.gradients import ADAM, clip_return, descend, follow, in_rounds
-from cgm_jax.agents.networks import apply_actor, apply_critic, initial_actor, initial_critic
+from cgm_jax.agents.gradients import (
+    ADAM,
+    check_rounds,
+    clip_return,
+    descend,
+    follow,
+    train_in_rounds,
+)
+from cgm_jax.agents.networks import (
+    apply_actor,
+    apply_critic,
+    apply_critics,
+    initial_actor,
+    initial_critic,
+)
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
-from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
 
 
@@ -77,7 +90,7 @@ class DDPG(Agent[DDPGState]):
 
     def value(self, state: DDPGState, inputs: jax.Array, action: jax.Array) -> jax.Array:
         """What each critic expects, [critics, ...]."""
-        return values(state.critic, inputs, action)
+        return apply_critics(state.critic, inputs, action)
 
     def actor(self, state: DDPGState) -> Parameters:
         """The actor, or its target.
@@ -120,14 +133,7 @@ class DDPG(Agent[DDPGState]):
         """
         del key
         every = self.actor_update_every
-
-        def train_round(state: DDPGState, batches: Minibatch) -> tuple[DDPGState, Info]:
-            if every > 1:
-                for_critic = jax.tree.map(lambda rows: rows[:-1], batches)
-                state, _ = jax.lax.scan(self.update_critic, state, for_critic)
-            return self.update(state, jax.tree.map(lambda rows: rows[-1], batches))
-
-        return jax.lax.scan(train_round, state, in_rounds(batches, every))
+        return train_in_rounds(state, batches, every, self.update_critic, self.update)
 
     def update(self, state: DDPGState, batch: Minibatch) -> tuple[DDPGState, Info]:
         """One gradient step on all networks, each from the present weights; targets follow.
@@ -163,21 +169,3 @@ class DDPG(Agent[DDPGState]):
             self.target_rate,
         )
         return state.replace(target_actor=target_actor, target_critic=target_critic), info
-
-
-def values(critics: tuple[Parameters, ...], inputs: jax.Array, action: jax.Array) -> jax.Array:
-    """What each critic expects of actions, [critics, ...]."""
-    return jnp.stack([apply_critic(critic, inputs, action) for critic in critics])
-
-
-def check_rounds(actor_update_every: int, sizes: Sizes) -> None:
-    """Check that updates come in whole rounds, of which the last is also the actor's.
-
-    Raises:
-        SettingError: they do not.
-    """
-    if sizes.updates_per_cycle % actor_update_every:
-        raise SettingError(
-            f"actor_update_every: {actor_update_every} does not divide "
-            f"updates_per_cycle, {sizes.updates_per_cycle}"
-        )

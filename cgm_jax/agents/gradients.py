@@ -1,12 +1,19 @@
-"""Gradient steps and target networks, as every agent here takes them."""
+"""Gradient steps, target networks and rounds of updates, as every agent here takes them."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import optax
 
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.sizes import Sizes
+
 Parameters = Any
+State = TypeVar("State")
+Update = Callable[[State, Any], tuple[State, dict[str, jax.Array]]]
+"""From an agent's state and a minibatch to the state after it and scalars to log."""
 
 # Without its step size, which is traced and differs between runs.
 ADAM = optax.scale_by_adam()
@@ -49,6 +56,40 @@ def clip_return(value: jax.Array, discount: float | jax.Array) -> jax.Array:
     return jnp.clip(value, -1.0 / (1.0 - discount), 0.0)
 
 
-def in_rounds(batches: Any, every: int) -> Any:
-    """Minibatches [updates, ...] as rounds [updates / every, every, ...]."""
-    return jax.tree.map(lambda rows: rows.reshape(-1, every, *rows.shape[1:]), batches)
+def train_in_rounds(
+    state: State, batches: Any, every: int, update_critic: Update[State], update: Update[State]
+) -> tuple[State, dict[str, jax.Array]]:
+    """One update per minibatch, every `every`-th of them of all networks.
+
+    Args:
+        state: of the agent.
+        batches: minibatches [updates, batch, ...]; `every` divides the updates.
+        every: minibatches in a round.
+        update_critic: of all minibatches of a round but the last.
+        update: of the last.
+
+    Returns:
+        The state, and what `update` returned in each round, [updates / every].
+    """
+
+    def train_round(state: State, batches: Any) -> tuple[State, dict[str, jax.Array]]:
+        if every > 1:
+            for_critic = jax.tree.map(lambda rows: rows[:-1], batches)
+            state, _ = jax.lax.scan(update_critic, state, for_critic)
+        return update(state, jax.tree.map(lambda rows: rows[-1], batches))
+
+    rounds = jax.tree.map(lambda rows: rows.reshape(-1, every, *rows.shape[1:]), batches)
+    return jax.lax.scan(train_round, state, rounds)
+
+
+def check_rounds(actor_update_every: int, sizes: Sizes) -> None:
+    """Check that updates come in whole rounds, of which the last is also the actor's.
+
+    Raises:
+        SettingError: they do not.
+    """
+    if sizes.updates_per_cycle % actor_update_every:
+        raise SettingError(
+            f"actor_update_every: {actor_update_every} does not divide "
+            f"updates_per_cycle, {sizes.updates_per_cycle}"
+        )

@@ -1,4 +1,4 @@
-"""Shapes of the actor and the critic, and how their parameters are made and applied."""
+"""Shapes of actors and critics, and how their parameters are made and applied."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,8 +6,12 @@ from typing import Any
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 Parameters = Any
+
+LOG_STD = (-20.0, 2.0)
+"""Limits of the logarithm of a Gaussian actor's standard deviation, Haarnoja's."""
 
 
 class Actor(nn.Module):
@@ -25,6 +29,27 @@ class Actor(nn.Module):
     def __call__(self, inputs: jax.Array) -> jax.Array:
         """The action [..., action_size] for inputs [..., input_size]."""
         return nn.tanh(_perceptron(inputs, self.hidden_layers, self.action_size))
+
+
+class GaussianActor(nn.Module):
+    """A stochastic policy: the Gaussian that `tanh` squashes into an action.
+
+    Its last layer gives the means, then the logarithms of the standard deviations.
+
+    Attributes:
+        hidden_layers: widths of the ReLU layers.
+        action_size: number of action dimensions.
+    """
+
+    hidden_layers: Sequence[int]
+    action_size: int
+
+    @nn.compact
+    def __call__(self, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Means and logarithms of standard deviations, each [..., action_size]."""
+        outputs = _perceptron(inputs, self.hidden_layers, 2 * self.action_size)
+        mean, log_std = jnp.split(outputs, 2, axis=-1)
+        return mean, jnp.clip(log_std, *LOG_STD)
 
 
 class Critic(nn.Module):
@@ -50,6 +75,13 @@ def initial_actor(
     return Actor(hidden_layers, actions).init(key, jnp.zeros(inputs))
 
 
+def initial_gaussian_actor(
+    key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
+) -> Parameters:
+    """Parameters of a Gaussian actor for so many inputs and action dimensions."""
+    return GaussianActor(hidden_layers, actions).init(key, jnp.zeros(inputs))
+
+
 def initial_critic(
     key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
 ) -> Parameters:
@@ -57,16 +89,43 @@ def initial_critic(
     return Critic(hidden_layers).init(key, jnp.zeros(inputs), jnp.zeros(actions))
 
 
-def apply_actor(parameters: Parameters, inputs: jax.Array) -> jax.Array:
+def apply_actor(
+    parameters: Parameters, inputs: Float[Array, "*batch inputs"]
+) -> Float[Array, "*batch action"]:
     """The action [..., action_size] of an actor for inputs [..., input_size]."""
     *hidden, actions = _widths(parameters)
     return Actor(hidden, actions).apply(parameters, inputs)  # pyright: ignore[reportReturnType]
 
 
-def apply_critic(parameters: Parameters, inputs: jax.Array, action: jax.Array) -> jax.Array:
+def apply_gaussian_actor(parameters: Parameters, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Means and logarithms of standard deviations, each [..., action_size], before `tanh`."""
+    *hidden, outputs = _widths(parameters)
+    actor = GaussianActor(hidden, outputs // 2)
+    return actor.apply(parameters, inputs)  # pyright: ignore[reportReturnType]
+
+
+def mean_actor(parameters: Parameters) -> Parameters:
+    """The `Actor` whose action is that of a Gaussian actor without its noise, tanh(mean)."""
+    layers = dict(parameters["params"])
+    last = f"layer_{len(layers) - 1}"
+    actions = layers[last]["bias"].shape[-1] // 2
+    layers[last] = {name: values[..., :actions] for name, values in layers[last].items()}
+    return {"params": layers}
+
+
+def apply_critic(
+    parameters: Parameters,
+    inputs: Float[Array, "*batch inputs"],
+    action: Float[Array, "*batch action"],
+) -> Float[Array, "*batch"]:
     """A critic's estimate [...] of the return of actions in inputs."""
     hidden = _widths(parameters)[:-1]
     return Critic(hidden).apply(parameters, inputs, action)  # pyright: ignore[reportReturnType]
+
+
+def apply_critics(critics: Sequence[Parameters], inputs: jax.Array, action: jax.Array) -> jax.Array:
+    """What each critic expects of actions, [critics, ...]."""
+    return jnp.stack([apply_critic(critic, inputs, action) for critic in critics])
 
 
 def _widths(parameters: Parameters) -> list[int]:

@@ -2,7 +2,8 @@
 
 fields.py      how a setting is declared and checked
 settings.py    the loop's own settings; sizes.py what components may know of them
-components.py  curricula, agents and ways to relabel by name; named.py from the user's own files
+components.py  curricula, agents and ways to relabel by name
+named.py       from the user's own files; user_code.py runs them, allowed.py which ones may run
 presets.py     smoke, quick, cpu, paper
 grid.py        from lists of values to runs, and from runs to groups that train side by side
 """

@@ -21,6 +21,9 @@ ROOMS = {
 }
 """Where the components of each kind are; `protocol.py` there says what they offer."""
 
+NAMES = ("env", *ROOMS)
+"""Settings whose value is a name, of ours or of something of the user's own."""
+
 
 @functools.cache
 def builtin(kind: str) -> dict[str, type]:

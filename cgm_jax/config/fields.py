@@ -14,7 +14,7 @@ their settings agree.
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
 
@@ -28,6 +28,9 @@ Field = dataclasses.Field
 
 ACCEPTED = {str: str, bool: bool, int: Integral, float: Real, tuple: tuple}
 """What counts as a value of a setting, by the type of its default; numpy's numbers do."""
+
+MAX_VALUES = 100
+"""Of a setting that is several numbers."""
 
 DTYPES = {int: np.int32, float: np.float32, bool: np.bool_}
 
@@ -44,6 +47,18 @@ def traced(default: Any, help: str, low: float = -math.inf, high: float = math.i
 def static(default: Any, help: str, low: float = -math.inf, high: float = math.inf) -> Any:
     """A setting that decides the compiled program; None as default says that it may be absent."""
     return field(default=default, metadata=_metadata(False, help, low, high))
+
+
+def shared(kind: type, name: str, default: Any = MISSING) -> Any:
+    """A setting that another class declares too, so that both have one option.
+
+    Args:
+        kind: the other class.
+        name: of the setting, there and here.
+        default: the value here, if it is not the one there.
+    """
+    item = kind.__dataclass_fields__[name]  # pyright: ignore[reportAttributeAccessIssue]
+    return field(default=item.default if default is MISSING else default, metadata=item.metadata)
 
 
 def _metadata(traced: bool, help: str, low: float, high: float) -> dict[str, Any]:
@@ -79,6 +94,20 @@ def check(instance: Any) -> None:
         check(part)
 
 
+def check_concrete(instance: Any) -> None:
+    """Check as `check` does all values but arrays, which may be traced.
+
+    Raises:
+        SettingError: as `check`.
+    """
+    for item in declared(instance):
+        value = getattr(instance, item.name)
+        if not isinstance(value, jax.Array | np.ndarray):
+            check_value(item, value)
+    for part in parts(instance):
+        check_concrete(part)
+
+
 def parts(instance: Any) -> Iterator[Any]:
     """Instances of settings that are fields of another."""
     for item in dataclasses.fields(instance):
@@ -101,6 +130,8 @@ def check_value(item: "Field[Any]", value: Any) -> None:
     if kind is tuple:
         if not value:
             raise SettingError(f"{item.name}: needs at least one value")
+        if len(value) > MAX_VALUES:
+            raise SettingError(f"{item.name}: {len(value)} values are more than {MAX_VALUES}")
         if not all(isinstance(width, Integral) and not isinstance(width, bool) for width in value):
             raise SettingError(f"{item.name}: {value!r} holds something else than whole numbers")
     if kind not in (str, bool):
@@ -123,7 +154,12 @@ def stack(runs: Sequence[Tree]) -> Tree:
 
     Types are fixed per field (int32, float32, bool), whatever the values, so that two grids of
     the same length compile to the same program.
+
+    Raises:
+        SettingError: a value of another type, not finite, or out of its range.
     """
+    for run in runs:
+        check(run)
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *map(_typed, runs))
 
 

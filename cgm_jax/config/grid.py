@@ -17,7 +17,7 @@ import jax
 
 from cgm_jax.config.components import ROOMS, component
 from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
-from cgm_jax.config.named import absolute
+from cgm_jax.config.named import absolute, label
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
 
@@ -96,12 +96,15 @@ def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Gr
 def hyperparameters(**values: Any) -> Hyperparameters:
     """Settings of one run from values by name, of the loop and of its components alike.
 
+    What is not given has its default, or what the curriculum wants.
+
     Raises:
         SettingError: no component has such a setting, or a value is out of its range.
     """
     made = {}
-    for kind, default in DEFAULTS.items():
-        found = component(kind, values.pop(kind, default))
+    classes = {kind: component(kind, values.pop(kind, name)) for kind, name in DEFAULTS.items()}
+    values = {**_wanted(classes), **values}
+    for kind, found in classes.items():
         own = {item.name for item in declared(found)}
         made[kind] = found(**{name: values[name] for name in own & set(values)})
     taken = {item.name for part in made.values() for item in declared(part)}
@@ -180,11 +183,13 @@ def _combinations(grid: Grid) -> list[Values]:
     """The product of all axes, less runs that differ only in what has no effect."""
     runs: dict[Any, Values] = {}
     for chosen in itertools.product(*(_names(grid, kind) for kind in ROOMS)):
-        components = dict(zip(ROOMS, chosen, strict=True))
+        components = dict(zip(ROOMS, map(absolute, chosen), strict=True))
+        classes = {kind: component(kind, name) for kind, name in components.items()}
         fields = dict(LOOP_FIELDS)
-        for kind, name in components.items():
-            fields |= {item.name: item for item in declared(component(kind, name))}
-        axes = {name: _axis(grid, item) for name, item in fields.items()}
+        for found in classes.values():
+            fields |= {item.name: item for item in declared(found)}
+        wanted = {name: [value] for name, value in _wanted(classes).items()}
+        axes = {name: _axis({**wanted, **grid}, item) for name, item in fields.items()}
         if math.prod(len(axis) for axis in axes.values()) > MAX_RUNS:
             longest = max(axes, key=lambda name: len(axes[name]))
             raise SettingError(f"{longest}: more than {MAX_RUNS:,} runs in one sweep")
@@ -197,6 +202,15 @@ def _combinations(grid: Grid) -> list[Values]:
     if len(runs) > MAX_RUNS:
         raise SettingError(f"curriculum: more than {MAX_RUNS:,} runs in one sweep")
     return list(runs.values())
+
+
+def _wanted(classes: Mapping[str, Any]) -> Values:
+    """What a curriculum wants of its agent, where that can give it and has less by default."""
+    wanted = classes["curriculum"].wants_critics
+    fields = {item.name: item for item in declared(classes["agent"])}
+    if "critics" not in fields or fields["critics"].default >= wanted:
+        return {}
+    return {"critics": wanted}
 
 
 def _axis(grid: Grid, item: "Field[Any]") -> Sequence[Any]:
@@ -256,15 +270,15 @@ def _swept(grid: Grid, values: Values) -> list[str]:
 
 def _run_name(values: Values, swept: Sequence[str]) -> str:
     """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
-    agent = _short(values["agent"])
-    parts = [_short(values["env"]), f"{agent}-her" if values.get("her") else agent]
-    parts.append(_short(values["curriculum"]))
+    agent = label(values["agent"])
+    parts = [label(values["env"]), f"{agent}-her" if values.get("her") else agent]
+    parts.append(label(values["curriculum"]))
     told = {"seed", "her", "env", *ROOMS}
     if values["curriculum"] == "cgm":
         parts[-1] += f"-cg{_text(values['c_g'])}-kappa{_text(values['kappa'])}"
         told |= {"c_g", "kappa"}
     if "relabelling" in swept:
-        parts.append(_short(values["relabelling"]))
+        parts.append(label(values["relabelling"]))
     idle = _idle(values)
     told |= idle
     parts += [f"{n.replace('_', '')}{_text(values[n])}" for n in swept if n not in told]
@@ -272,11 +286,6 @@ def _run_name(values: Values, swept: Sequence[str]) -> str:
     if len(os.fsencode(name)) > MAX_NAME:
         raise SettingError(f"env: a run's file would have too long a name, {name[:60]}...")
     return name
-
-
-def _short(name: str) -> str:
-    """A component's or an environment's name without its folder."""
-    return name.rpartition("/")[2].replace(".py:", "-")
 
 
 def _text(value: Any) -> str:

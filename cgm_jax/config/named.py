@@ -1,64 +1,183 @@
-"""FILE.py:NAME, a name in a file of the user's own: an environment, a curriculum, an agent."""
+"""FILE.py:NAME or package.module:NAME, something in a file of the user's own.
 
-import hashlib
+What the user names, on a command line or in a program, runs, and so does what it imports. What only
+a run directory's config.json names may come from anybody: of that only those files run, byte for
+byte, that the user has named on this machine before (see allowed.py). That holds for the named file
+and for all modules of its folder, or of its package, that it imports; installed packages are not
+looked at, and what a file reads or runs by other means is its own responsibility.
+"""
+
+import contextlib
+import importlib
 import importlib.util
+import operator
 import os
-import sys
+import shlex
+from importlib.machinery import PathFinder
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+from cgm_jax.config import allowed
 from cgm_jax.config.fields import SettingError
+from cgm_jax.config.user_code import (
+    Admit,
+    is_code,
+    load_file,
+    neighbours_of,
+    run_files,
+    user_code,
+)
+
+_named_now: set[Path] = set()
+"""Files that the user has named on this process's command line."""
+
+_from_config: set[Path] = set()
+"""Files that only a config.json has named."""
 
 
-def is_own(name: str) -> bool:
-    """Whether a setting's value names something in the user's own file."""
-    return ".py" in name
+def is_own(text: str) -> bool:
+    """Whether a setting's value names something of the user's own."""
+    return ":" in text or text.endswith(".py")
 
 
-def absolute(name: str) -> str:
-    """A name that holds in any working directory."""
+def absolute(text: str) -> str:
+    """A name that holds in any working directory; of a module, as it is."""
     # os.path keeps symbolic links.
-    return os.path.abspath(name) if ".py:" in name else name  # noqa: PTH100
+    return os.path.abspath(text) if ".py:" in text else text  # noqa: PTH100
 
 
-def load_named(setting: str, name: str) -> Any:
-    """Load what FILE.py:NAME names.
+def label(text: str) -> str:
+    """A short name for files and titles: "point_mass-PointMass"."""
+    place, _, attribute = text.rpartition(":")
+    return f"{Path(place).name.removesuffix('.py')}-{attribute}" if place else text
+
+
+def load_named(setting: str, text: str) -> Any:
+    """Load the function or class that `text` names.
+
+    Args:
+        setting: its name, with which messages start.
+        text: FILE.py:NAME or package.module:NAME.
 
     Raises:
-        SettingError: there is no such file or name, or the file fails.
+        SettingError: there is no such file, module or name; it fails; or it may not run.
     """
-    file, _, attribute = name.rpartition(":")
-    path = Path(file)
-    if not attribute or not path.is_file():
-        raise SettingError(f"{setting}: {name!r} is not FILE.py:NAME with a file that exists")
+    file = _file(setting, text)
+    place, _, attribute = text.rpartition(":")
+    admit = _admitting(setting, text, file)
+    with user_code(setting, place):
+        if _is_file(text):
+            module = load_file(file, admit)
+        else:
+            admit(file, file.read_bytes())  # also if something has imported it already
+            neighbours_of(folder_of(text).parent, admit, only=place.partition(".")[0])
+            module = importlib.import_module(place)
     try:
-        found = getattr(_load_module(setting, path), attribute, None)
-    except SettingError:
-        raise
-    except Exception as error:  # whatever the user's code raises
-        line = str(error).strip().partition("\n")[0]
-        raise SettingError(
-            f"{setting}: {name} fails with {type(error).__name__}: {line}"
-        ) from error
+        found = operator.attrgetter(attribute)(module)
+    except AttributeError:
+        found = None
     if not callable(found):
-        raise SettingError(f"{setting}: {file} has no function or class {attribute!r}")
+        raise SettingError(f"{setting}: {place} has no function or class {attribute!r}")
     return found
 
 
-def _load_module(setting: str, path: Path) -> ModuleType:
-    # Under a name of its own: a user's file may be called like any module of Python's.
-    name = f"_named_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise SettingError(f"{setting}: {path} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # so that dataclasses in the file find their module
+def files_of(text: str) -> dict[str, str]:
+    """SHA-256 of the files that have run in this process for `text`, by absolute path."""
+    return run_files(folder_of(text))
+
+
+def folder_of(text: str) -> Path:
+    """The folder of a named file; of a module, that of its top-level package.
+
+    Raises:
+        SettingError: there is no such file.
+    """
+    file, place = _file("", text), text.rpartition(":")[0]
+    if _is_file(text):
+        return file.parent
+    depth = place.count(".") + (file.name == "__init__.py")
+    return file.parents[depth] / place.partition(".")[0] if depth else file
+
+
+def name_now(text: str) -> None:
+    """The user names something on the command line: it runs, and is remembered once it has run."""
+    with contextlib.suppress(SettingError):  # loading it will say so
+        _named_now.add(_file("", text))
+
+
+def require_named(setting: str, text: str) -> None:
+    """Check that what a config.json names may run, and let nothing else of it run from now on.
+
+    Raises:
+        SettingError: there is no such file; or the user has neither named it now nor, as it is now,
+            before.
+    """
     try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+        file = _file(setting, text)
+    except SettingError as error:
+        raise SettingError(f"{error}; if it has moved, name it: {_option(setting, text)}") from None
+    if file not in _named_now:
+        _from_config.add(file)
+        _admitting(setting, text, file)(file, file.read_bytes())
+
+
+def _admitting(setting: str, text: str, root: Path) -> Admit:
+    """The rule for all files that run because `text` names `root`."""
+
+    def admit(path: Path, data: bytes) -> None:
+        if root in _named_now:
+            allowed.remember(path, data)
+        elif root in _from_config and not allowed.remembers(path, data):
+            known = allowed.remembers_other(path)
+            state = "has changed since you named it" if known else "was never named by you"
+            raise SettingError(
+                f"{setting}: {path} {state} on this machine, so it is not run; "
+                f"if you trust it, name it: {_option(setting, text)}"
+            )
+
+    return admit
+
+
+def _option(setting: str, text: str) -> str:
+    return f"--{setting} {shlex.quote(text)}"
+
+
+def _is_file(text: str) -> bool:
+    place = text.rpartition(":")[0]
+    return place.endswith(".py") or os.sep in place
+
+
+def _file(setting: str, text: str) -> Path:
+    """The file that a name stands for, found without running anything.
+
+    Raises:
+        SettingError: there is none.
+    """
+    place, _, attribute = text.rpartition(":")
+    well_formed = text.isprintable() and all(part.isidentifier() for part in attribute.split("."))
+    if not place or not well_formed:
+        raise SettingError(f"{setting}: {text!r} is neither FILE.py:NAME nor package.module:NAME")
+    if not _is_file(text):
+        return _file_of_module(setting, place)
+    if place.endswith(".py") and is_code(Path(place)):
+        return Path(place).resolve()
+    raise SettingError(f"{setting}: {text!r} is not FILE.py:NAME with a file that exists")
+
+
+def _file_of_module(setting: str, module: str) -> Path:
+    missing = SettingError(f"{setting}: there is no Python module {module!r} here")
+    top, *parts = module.split(".")
+    if not all(part.isidentifier() for part in (top, *parts)):
+        raise missing
+    try:
+        spec = importlib.util.find_spec(top)
+        name = top
+        for part in parts:  # `find_spec` of a dotted name would run the packages around it
+            name = f"{name}.{part}"
+            locations = spec.submodule_search_locations if spec else None
+            spec = PathFinder.find_spec(name, locations) if locations is not None else None
+    except (ImportError, ValueError, AttributeError):
+        raise missing from None
+    if spec is None or spec.origin is None or not is_code(Path(spec.origin)):
+        raise missing
+    return Path(spec.origin).resolve()

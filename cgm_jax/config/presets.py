@@ -8,40 +8,33 @@ from typing import Any
 
 Grid = dict[str, list[Any]]
 
-# Where network updates are the cost: half the batch, and targets that creep at every update
-# instead of jumping once per cycle.
+# The manipulation tasks with HER on a CPU, where network updates are the cost: narrow networks,
+# half the batch, the actor every second time, which saved more time than it seemed to cost learning
+# in trials (experiments/results/cpu_settings/tried.csv). Targets follow by Polyak averaging at
+# every update, and the target actor is the steadier policy. Hindsight only where something moved.
 _CPU: Grid = {
     "cycles_per_epoch": [25],
     "batch_size": [512],
-    "target_update_every": [1],
-    "target_rate": [0.005],
-    "replay_transitions": [600_000],
-}
-
-# With HER, hindsight only where something moved, and the creeping target actor as the steadier
-# policy. Networks are narrow and the actor learns every second time: that saves more time than it
-# seemed to cost learning in trials (experiments/results/cpu_settings/tried.csv).
-_CPU_WITH_HER: Grid = {
-    **_CPU,
     "hidden_layers": [(128, 128, 128)],
     "actor_update_every": [2],
+    "target_update_every": [1],
+    "target_rate": [0.005],
     "her_filter": [True],
     "evaluate_target": [True],
     "evaluation_episodes": [50],
+    "replay_transitions": [600_000],
 }
 
 # Something carried is let go at the next random action; so as many of them, but in a row. Pushing
-# does not need that, and learns a little faster without.
+# does not need that, and learned a little faster without.
 _CARRYING: Grid = {"random_action_steps": [5]}
 
-# The manipulation tasks need HER, wider networks and more steps; so fewer points.
-_QUICK_WITH_HER: Grid = {
-    **_CPU_WITH_HER,
+# They need HER, wider networks and more steps than reach; so `quick` has fewer points of them.
+_FEW_POINTS: Grid = {
     "her": [True],
     "c_g": [0.1, 0.4],
     "kappa": [32.0],
     "seed": [0],
-    "epochs": [40],
     "environments": [16],
 }
 
@@ -62,7 +55,6 @@ PRESETS: dict[str, Grid] = {
     # The paper's question on the fastest task: what do c_g and kappa do to DDPG? The whole
     # grid, three seeds and the baseline without CGM, within ten minutes on two cores.
     "quick": {
-        **_CPU,
         "env": ["reach"],
         "her": [False],
         "curriculum": ["cgm", "full"],
@@ -73,12 +65,13 @@ PRESETS: dict[str, Grid] = {
         "cycles_per_epoch": [5],
         "environments": [8],
         "batch_size": [128],
+        "target_update_every": [1],
         "target_rate": [0.02],
         "hidden_layers": [(64, 64)],
         "replay_transitions": [50_000],
     },
     # The manipulation tasks with HER on a CPU, in minutes per run.
-    "cpu": {**_CPU_WITH_HER, "env": ["push"], "epochs": [20]},
+    "cpu": {**_CPU, "env": ["push"], "epochs": [20]},
     # As printed: all 18 points, both tasks, with and without HER. For a GPU, or for patience.
     "paper": {
         "env": ["push", "pick_and_place"],
@@ -94,8 +87,8 @@ PRESETS: dict[str, Grid] = {
 # 16; summed gradients of w workers act, under Adam, like one batch of 256 w.
 BY_ENV: dict[str, dict[str, Grid]] = {
     "quick": {
-        "push": {**_QUICK_WITH_HER, "epochs": [20]},
-        "pick_and_place": {**_QUICK_WITH_HER, **_CARRYING},
+        "push": {**_CPU, **_FEW_POINTS, "epochs": [20]},
+        "pick_and_place": {**_CPU, **_FEW_POINTS, **_CARRYING, "epochs": [40]},
     },
     "cpu": {"reach": {"epochs": [3]}, "pick_and_place": {"epochs": [45], **_CARRYING}},
     "paper": {

@@ -7,6 +7,11 @@ program say near. Sub-goal rates are means over the last h noise-free evaluation
 full goal; before any, c_g^(1/n). Two estimates that are not the paper's judge its product: joint
 rates (`factorised` off) and noise-free episodes of each mask (`masked_evaluation_episodes`).
 
+Goals of more than ten dimensions have too many masks for a table, which both of these need: masks
+are then drawn dimension by dimension, see lookahead.py. In many dimensions nearly all masks are far
+from c_g, and the weights of single masks do not make up for that. With `mask_levels`, a method of
+this project, a difficulty is drawn first, and then a uniform mask of it, see levels.py.
+
     python -m cgm_jax.train --curriculum cgm --c-g 0.1 --kappa 32
 """
 
@@ -15,7 +20,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.fields import SettingError, settings, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.history import (
     SuccessHistory,
@@ -24,7 +29,16 @@ from cgm_jax.curricula.history import (
     subgoal_rates,
     success_rates,
 )
+from cgm_jax.curricula.levels import (
+    MAX_GOAL_SIZE,
+    draw_masks_by_difficulty,
+    probabilities_by_difficulty,
+    report_levels,
+)
+from cgm_jax.curricula.lookahead import draw_masks
 from cgm_jax.curricula.masks import (
+    MAX_TABULATED,
+    check_tabulated,
     goal_masks,
     mask_probabilities,
     mask_success_rates,
@@ -32,17 +46,20 @@ from cgm_jax.curricula.masks import (
 )
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
 
+REPORTED_DRAWS = 1024
+"""Masks that a report on goals of many dimensions draws, to say what is practised."""
+
 
 class CGMState(struct.PyTreeNode):
     """What CGM knows.
 
     Attributes:
         subgoals: outcomes of evaluation episodes with the full goal, per sub-goal.
-        masks: of those with masked goals, per mask; empty unless they are measured.
+        masks: of those with masked goals, per mask; None unless they are measured.
     """
 
     subgoals: SuccessHistory
-    masks: SuccessHistory
+    masks: SuccessHistory | None = None
 
 
 @settings
@@ -52,32 +69,47 @@ class CGM(Curriculum[CGMState]):
     c_g: float = traced(0.1, "success rate aimed at by the mask sampler", 0, 1)
     kappa: float = traced(32.0, "sharpness of the mask sampler", 1e-3, 1e6)
     full_share: float = traced(0.0, "share of episodes that get the full goal in any case", 0, 1)
-    factorised: bool = traced(True, "estimate masks as if sub-goals succeeded independently")
+    factorised: bool = static(True, "estimate masks as if sub-goals succeeded independently")
+    mask_levels: bool = static(False, "draw a difficulty first, then a mask of that difficulty")
     success_history: int = static(10, "evaluation episodes behind success rates, h", 1, 10**6)
     masked_evaluation_episodes: int = static(
         0, "noise-free episodes per mask and epoch, to measure it; 0: estimate it", 0, 10**6
     )
 
     def init(self, sizes: Sizes) -> CGMState:
-        """Nothing known yet."""
-        return CGMState(
-            subgoals=empty_history(self.success_history, sizes.goal),
-            masks=empty_history(self.success_history, 2**sizes.goal),
-        )
+        """Nothing known yet.
+
+        Raises:
+            SettingError: an estimate needs a table of all masks, and goals have too many
+                dimensions for one; or too many to draw a difficulty first.
+        """
+        if not self.factorised:
+            check_tabulated("factorised", sizes.goal)
+        if self.mask_levels and sizes.goal > MAX_GOAL_SIZE:
+            raise SettingError(
+                f"mask_levels: goals of {sizes.goal} dimensions have more than {MAX_GOAL_SIZE}"
+            )
+        subgoals = empty_history(self.success_history, sizes.goal)
+        if not self.masked_evaluation_episodes:
+            return CGMState(subgoals)
+        check_tabulated("masked_evaluation_episodes", sizes.goal)
+        return CGMState(subgoals, empty_history(self.success_history, 2**sizes.goal))
 
     def sample(self, state: CGMState, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks near the success rate aimed at."""
         del view
-        masks = goal_masks(drawn.desired.shape[-1])
+        count, goal_size = drawn.mask.shape
+        if goal_size > MAX_TABULATED:
+            return with_mask(drawn, self.draw(state, key, count)[0])
         probabilities = self.probabilities(self.rates(state))
-        return with_mask(drawn, masks[sample_masks(key, probabilities, len(drawn.mask))])
+        return with_mask(drawn, goal_masks(goal_size)[sample_masks(key, probabilities, count)])
 
     def after_evaluation(
         self, state: CGMState, outcomes: Outcomes, examined: Outcomes | None = None
     ) -> CGMState:
         """Take in noise-free episodes: sub-goals of the full goal, and masks that were measured."""
         subgoals = record_successes(state.subgoals, outcomes.subgoal_success, outcomes.valid)
-        if examined is None:
+        if examined is None or state.masks is None:
             return state.replace(subgoals=subgoals)
         shape = (self.masked_evaluation_episodes, -1)
         successes, valid = (x.reshape(shape) for x in (examined.success, examined.valid))
@@ -90,25 +122,45 @@ class CGM(Curriculum[CGMState]):
         return jnp.tile(goal_masks(sizes.goal), (self.masked_evaluation_episodes, 1))
 
     def report(self, state: CGMState) -> dict[str, jax.Array]:
-        """Per mask [2^n]: its estimated success rate, and its probability of being drawn."""
-        rates = self.rates(state)
-        return {"mask_rate_estimated": rates, "mask_probability": self.probabilities(rates)}
+        """What masks practise.
+
+        Up to ten dimensions per mask [2^n]: its estimated success rate, and its probability of
+        being drawn. Beyond, by estimated success rate in steps of 0.05, from 1,024 draws: the
+        share of masks near it, and the dimensions that these keep, [21].
+        """
+        if state.subgoals.successes.shape[-1] <= MAX_TABULATED:
+            rates = self.rates(state)
+            return {"mask_rate_estimated": rates, "mask_probability": self.probabilities(rates)}
+        levels = report_levels(*self.draw(state, jax.random.key(0), REPORTED_DRAWS))
+        return {
+            "level_probability": levels.probability,
+            "level_kept_dimensions": levels.kept_dimensions,
+        }
 
     def rates(self, state: CGMState) -> jax.Array:
         """Estimated success rate of every mask [2^n]; once masks are measured, the measured one."""
         masks = goal_masks(state.subgoals.successes.shape[-1])
-        estimates = jnp.where(
-            self.factorised,
-            mask_success_rates(masks, subgoal_rates(state.subgoals, self.c_g)),
-            joint_success_rates(masks, state.subgoals, self.c_g),
-        )
-        return success_rates(state.masks, estimates)
+        if self.factorised:
+            estimates = mask_success_rates(masks, subgoal_rates(state.subgoals, self.c_g))
+        else:
+            estimates = joint_success_rates(masks, state.subgoals, self.c_g)
+        return estimates if state.masks is None else success_rates(state.masks, estimates)
 
     def probabilities(self, rates: jax.Array) -> jax.Array:
         """Probability of drawing each mask [2^n], given their success rates."""
         full = jnp.zeros(len(rates)).at[-1].set(1.0)
-        probabilities = mask_probabilities(rates, self.c_g, self.kappa)
+        rule = probabilities_by_difficulty if self.mask_levels else mask_probabilities
+        probabilities = rule(rates, self.c_g, self.kappa)
         return (1.0 - self.full_share) * probabilities + self.full_share * full
+
+    def draw(self, state: CGMState, key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
+        """Draw masks without a table: masks [count, n] and their estimated success rates."""
+        mask_key, full_key = jax.random.split(key)
+        rates = subgoal_rates(state.subgoals, self.c_g)
+        rule = draw_masks_by_difficulty if self.mask_levels else draw_masks
+        masks, estimates = rule(mask_key, rates, self.c_g, self.kappa, count)
+        full = jax.random.bernoulli(full_key, self.full_share, (count,))
+        return jnp.where(full[:, None], 1.0, masks), jnp.where(full, rates.prod(), estimates)
 
 
 def joint_success_rates(masks: jax.Array, history: SuccessHistory, c_g: ArrayLike) -> jax.Array:

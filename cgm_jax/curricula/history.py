@@ -35,7 +35,8 @@ def record_successes(
     """
     length = history.successes.shape[0]
     filled = jnp.arange(length) >= length - history.count
-    rows = jnp.concatenate([history.successes, successes.astype(history.successes.dtype)])
+    successes = jnp.where(valid[:, None], successes, 0).astype(history.successes.dtype)
+    rows = jnp.concatenate([history.successes, successes])
     counts = jnp.concatenate([filled, valid])
     newest_last = jnp.argsort(counts, stable=True)[-length:]
     return SuccessHistory(

@@ -10,6 +10,8 @@ import numpy as np
 from jax.scipy.special import xlogy
 from jax.typing import ArrayLike
 
+from cgm_jax.config.fields import SettingError
+
 MAX_TABULATED = 10
 """Dimensions of a goal up to which all 2^n masks are tabulated."""
 
@@ -30,6 +32,19 @@ def goal_masks(goal_size: int) -> jax.Array:
         raise ValueError(f"goal_size: {goal_size} is not at least 1")
     indices = np.arange(2**goal_size)[:, None]
     return jnp.asarray((indices >> np.arange(goal_size)[::-1]) & 1, jnp.float32)
+
+
+def check_tabulated(setting: str, goal_size: int) -> None:
+    """Check that all masks of a goal fit into a table.
+
+    Raises:
+        SettingError: they do not; the message names the setting that needs the table.
+    """
+    if goal_size > MAX_TABULATED:
+        raise SettingError(
+            f"{setting}: needs a table of all masks, so goals of at most {MAX_TABULATED} "
+            f"dimensions, not {goal_size}"
+        )
 
 
 def mask_success_rates(masks: jax.Array, subgoal_rates: jax.Array) -> jax.Array:
@@ -68,6 +83,13 @@ def mask_probabilities(success_rates: jax.Array, c_g: ArrayLike, kappa: ArrayLik
     logits = xlogy(kappa, closeness)
     possible = jnp.isfinite(logits).any()
     return jax.nn.softmax(jnp.where(possible, logits, 0.0))
+
+
+def proportional(weights: jax.Array) -> jax.Array:
+    """Probabilities in proportion to weights [m] of at least 0; uniform where all are 0."""
+    total = weights.sum()
+    some = total > 0.0
+    return jnp.where(some, weights / jnp.where(some, total, 1.0), 1.0 / len(weights))
 
 
 def sample_masks(key: jax.Array, probabilities: jax.Array, count: int) -> jax.Array:

@@ -33,12 +33,14 @@ class Goals(struct.PyTreeNode):
         threshold: achieved closer than this, [E].
         start: states of the environment in which the episodes begin, leading axis [E]; None for
             those of a reset.
+        memo: what the curriculum wants back with the outcomes, any pytree.
     """
 
     desired: jax.Array
     mask: jax.Array
     threshold: jax.Array
     start: Any = None
+    memo: Any = None
 
 
 class Outcomes(struct.PyTreeNode):
@@ -71,12 +73,14 @@ class View(NamedTuple):
         filled: how many of the C episodes are real, the first ones; int32 scalar.
         value: from observations [..., o] and goals [..., n] to the return that each of the
             agent's critics expects under its actor, [critics, ...].
+        draw: further goals of the environment, from a key and their number: [number, n].
     """
 
     first: Any
     achieved: jax.Array
     filled: jax.Array
     value: Callable[[jax.Array, jax.Array], jax.Array]
+    draw: Callable[[jax.Array, int], jax.Array]
 
 
 class Curriculum(Protocol[State]):
@@ -85,10 +89,12 @@ class Curriculum(Protocol[State]):
     Attributes:
         wants_visited: whether `Outcomes.visited` is needed, which costs memory.
         shows_threshold: whether the networks must see an episode's threshold, since it varies.
+        wants_critics: how many critics an agent gets that can have several, unless a run says.
     """
 
     wants_visited: ClassVar[bool] = False
     shows_threshold: ClassVar[bool] = False
+    wants_critics: ClassVar[int] = 1
 
     def init(self, sizes: Sizes) -> State:
         """The state before any training.

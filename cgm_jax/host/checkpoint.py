@@ -1,7 +1,7 @@
 """Where a group of runs stands, as files that are whole, checked, and never half trusted.
 
     group0_epoch000003_cycle000012.npz    the whole training state, and the rows of metrics.jsonl
-    group0_epoch000003_cycle000012.json   its SHA-256 and size, written last
+    group0_epoch000003_cycle000012.json   its SHA-256 and size, and config.json; written last
 
 A checkpoint without its manifest was never finished. One that does not match it is damaged: it
 is set aside under a name that says so, and the one before serves.
@@ -10,7 +10,6 @@ is set aside under a name that says so, and the one before serves.
 import contextlib
 import hashlib
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,12 @@ import numpy as np
 from cgm_jax.config.fields import SettingError
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.storage.arrays import read_shapes, write_arrays
+from cgm_jax.storage.checkpoints import (
+    damage,
+    finished_checkpoints,
+    manifest_path,
+    write_manifest,
+)
 from cgm_jax.storage.files import PARTIAL, replacing
 
 KEPT = 2
@@ -50,20 +55,24 @@ class Standing:
     rows: list[str] = field(default_factory=list)
 
 
-def save_checkpoint(directory: Path, group: int, standing: Standing) -> Path:
+def save_checkpoint(directory: Path, group: int, standing: Standing, config: bytes = b"") -> Path:
     """Write a checkpoint and keep the group's last two.
+
+    Args:
+        directory: where checkpoints lie.
+        group: number of the group.
+        standing: where it stands.
+        config: the bytes of config.json, which can be restored from a checkpoint.
 
     Raises:
         OSError: it cannot be written; the ones before are still there.
     """
     path = directory / f"group{group}_epoch{standing.epoch:06d}_cycle{standing.cycle:06d}.npz"
-    _manifest(path).unlink(missing_ok=True)
+    manifest_path(path).unlink(missing_ok=True)
     with replacing(path, durable=True) as file:
         hashing = _HashingWriter(file)
         write_arrays(hashing, _named_arrays(standing))  # pyright: ignore[reportArgumentType]
-    with replacing(_manifest(path), durable=True) as file:
-        entry = {"sha256": hashing.digest.hexdigest(), "bytes": hashing.written}
-        file.write(json.dumps(entry).encode())
+    write_manifest(path, hashing.digest.hexdigest(), hashing.written, config)
     _remove_old(directory, group)
     return path
 
@@ -86,55 +95,24 @@ def load_checkpoint(
         SettingError: the file is whole, but holds the state of another program.
     """
     notes = []
-    for path in reversed(_paths(directory, group)):
-        complaint = _damage(path)
+    for path in reversed(finished_checkpoints(directory, group)):
+        complaint = damage(path)
         if complaint is None:
             return _read(path, like), notes
-        for part in (path, _manifest(path)):
+        for part in (path, manifest_path(path)):
             with contextlib.suppress(OSError):
                 part.replace(part.with_name(part.name + DAMAGED))
         notes.append(f"{path} is damaged ({complaint}) and set aside")
     return None, notes
 
 
-def _paths(directory: Path, group: int) -> list[Path]:
-    """The group's finished checkpoints, oldest first."""
-
-    def position(path: Path) -> list[int]:
-        return [int(number) for number in re.findall(r"\d+", path.stem)]
-
-    paths = directory.glob(f"group{group}_epoch*_cycle*.npz")
-    return sorted((path for path in paths if _manifest(path).exists()), key=position)
-
-
-def _manifest(path: Path) -> Path:
-    return path.with_suffix(".json")
-
-
 def _remove_old(directory: Path, group: int) -> None:
     """Remove all but the last checkpoints, and what a killed process left half written."""
-    kept = _paths(directory, group)[-KEPT:]
-    keep = {*kept, *(_manifest(path) for path in kept)}
+    kept = finished_checkpoints(directory, group)[-KEPT:]
+    keep = {*kept, *(manifest_path(path) for path in kept)}
     for path in directory.glob(f"group{group}_epoch*"):
         if path not in keep and path.suffix in (".npz", ".json", PARTIAL):
             path.unlink(missing_ok=True)
-
-
-def _damage(path: Path) -> str | None:
-    """What is wrong with a checkpoint's bytes; None if they are those that were written."""
-    try:
-        manifest = json.loads(_manifest(path).read_bytes())
-        expected, size = manifest["sha256"], manifest["bytes"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return "its manifest cannot be read"
-    try:
-        if path.stat().st_size != size:
-            return f"{path.stat().st_size} bytes instead of {size}"
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        return str(error.strerror)
-    return None if digest == expected else "its checksum differs"
 
 
 class _HashingWriter:

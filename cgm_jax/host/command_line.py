@@ -11,21 +11,29 @@ import dataclasses
 import io
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
-from cgm_jax.config.components import ROOMS, builtin, builtin_fields
+from cgm_jax.config.components import NAMES, ROOMS, builtin, builtin_fields
 from cgm_jax.config.fields import SettingError
+from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.streams import make_streams_harmless
+from cgm_jax.storage.lock import InUseError
 
 DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
+
+MAX_MESSAGE = 2000
+_OWNS_PROCESS = ContextVar("owns_process", default=False)
 
 Options = TypeVar("Options")
 Switch = Literal["on", "off"]
@@ -36,7 +44,7 @@ def _option_type(item: "dataclasses.Field[Any]") -> Any:
     if isinstance(item.default, bool):
         return tuple[Switch, ...] | None
     if item.name == "hidden_layers":
-        return tuple[int, ...] | None
+        return tuple[str, ...] | None
     kind = float if item.default is None else type(item.default)
     return tuple[kind, ...] | None
 
@@ -94,7 +102,8 @@ class TrainingOptions(SettingOptions):
     """Directory for the results (default: runs/PRESET-TIME)."""
 
     resume: Path | None = None
-    """Directory of a sweep that was stopped: go on with it; takes no settings."""
+    """Directory of a sweep that was stopped: go on with it. Takes no settings; but files of your
+    own that have moved or were edited are named again, with --env and the like."""
 
     set: tuple[str, ...] = ()
     """Settings of a curriculum or agent of your own: NAME=VALUE, several values with commas."""
@@ -121,24 +130,57 @@ class TrainingOptions(SettingOptions):
             raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
         if self.resume is None:
             return False
-        others = [*chosen, *(name for name in ("preset", "out") if getattr(self, name))]
+        # Own code may be named again: it has moved, or was edited.
+        settings = [name for name in chosen if name not in NAMES]
+        others = [*settings, *(name for name in ("preset", "out") if getattr(self, name))]
         if others:
             raise SettingError(f"resume: goes on as it was begun, without {', '.join(others)}")
         return True
 
 
+def name_own_code(grid: Grid) -> None:
+    """What the user names on the command line may run."""
+    for setting in NAMES:
+        for text in grid.get(setting, ()):
+            if is_own(text):
+                name_now(text)
+
+
 def chosen_values(options: Any) -> Grid:
-    """The lists that the user gave, by setting."""
+    """The lists that the user gave, by setting; own code in them may run from now on."""
     grid: Grid = {}
+    fields = LOOP_FIELDS | builtin_fields()
+    switches = {name for name, item in fields.items() if isinstance(item.default, bool)}
     for item in dataclasses.fields(SettingOptions):
         values = getattr(options, item.name)
         if values is None:
             continue
         if item.name == "hidden_layers":
-            grid[item.name] = [values]  # several widths are one value
+            grid[item.name] = _layers(values)
+        elif item.name in switches:
+            grid[item.name] = [SWITCH[value] for value in values]
         else:
-            grid[item.name] = [SWITCH.get(value, value) for value in values]
+            grid[item.name] = list(values)
+    name_own_code(grid)
     return grid | dict(_own_setting(text) for text in options.set)
+
+
+def _layers(words: Sequence[str]) -> list[tuple[int, ...]]:
+    """Widths of hidden layers: 256 256 is one value, 64x64 128x128 are two.
+
+    Raises:
+        SettingError: a width is no whole number.
+    """
+    try:
+        values = [tuple(int(width) for width in word.split("x")) for word in words]
+    except ValueError:
+        shown = " ".join(words)
+        raise SettingError(
+            f"hidden_layers: {shown!r} is neither widths (256 256) nor several (64x64 128x128)"
+        ) from None
+    if any("x" in word for word in words):
+        return values
+    return [tuple(width for value in values for width in value)]
 
 
 def _own_setting(text: str) -> tuple[str, list[Any]]:
@@ -158,7 +200,7 @@ def _plain_value(text: str) -> Any:
         return SWITCH[text]
     try:
         return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, RecursionError, MemoryError):  # too deep
         return text
 
 
@@ -193,18 +235,39 @@ def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) ->
 
 def run_program(main: Callable[[], int]) -> NoReturn:
     """Run a program's body and exit with its code, refusing bad settings with one line."""
+    make_streams_harmless()
+    _OWNS_PROCESS.set(True)
     try:
         sys.exit(main())
     except SettingError as error:
         refuse(str(error))
+    except InUseError as error:
+        refuse(str(error), ExitCode.IN_USE)
     except KeyboardInterrupt:
         sys.exit(ExitCode.STOPPED)
 
 
-def refuse(message: str) -> NoReturn:
-    """End with one line and exit code 2."""
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
-    sys.exit(ExitCode.BAD_INPUT)
+def owns_process() -> bool:
+    """Whether this process runs one of our programs, and not `main()` inside another one."""
+    return _OWNS_PROCESS.get()
+
+
+def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
+    """End with one line and an exit code."""
+    line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
+    shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
+    print(f"error: {shown}", file=sys.stderr)
+    sys.exit(code)
+
+
+def shell_command(program: str, *arguments: str | Path) -> str:
+    """A command line that runs a program of this package as it is, from any directory.
+
+    Paths become absolute, everything is quoted, and the interpreter is the one that runs now.
+    """
+    words = [Path(word).absolute() if isinstance(word, Path) else word for word in arguments]
+    interpreter = sys.executable or "python"
+    return shlex.join([interpreter, "-m", program, *(str(word) for word in words)])
 
 
 def _first_paragraph(box: str) -> str:

@@ -12,8 +12,10 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     """Input was refused; one line names the field."""
     DIVERGED = 3
-    """Done, but some runs diverged; they are named."""
+    """Done, but some runs diverged, or had no valid episode in the end; they are named."""
     CANNOT_WRITE = 74
     """A full disk, or a directory that cannot be written to (EX_IOERR)."""
     STOPPED = 75
-    """Stopped by SIGINT or SIGTERM (EX_TEMPFAIL)."""
+    """Stopped by a signal (EX_TEMPFAIL)."""
+    IN_USE = 75
+    """Another process trains in the directory: try again later. Nothing was begun."""

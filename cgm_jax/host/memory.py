@@ -7,16 +7,15 @@ compiled programs (jax 0.10.2); tests hold the sum within 15 % of what a process
 """
 
 import bisect
-import os
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.host.allotment import free_memory
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.setup import sizes
 from cgm_jax.loop.training import Trainer
@@ -155,24 +154,4 @@ def free_bytes() -> int:
     statistics = jax.devices()[0].memory_stats()
     if statistics and "bytes_limit" in statistics:
         return statistics["bytes_limit"] - statistics.get("bytes_in_use", 0)
-    return min(_free_on_host(), _left_in_container())
-
-
-def _free_on_host() -> int:
-    meminfo = Path("/proc/meminfo")
-    if meminfo.is_file():
-        for line in meminfo.read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-
-def _left_in_container() -> int:
-    """What the control group still allows, where there is one with a limit."""
-    folder = Path("/sys/fs/cgroup")
-    try:
-        limit, used = (int((folder / f"memory.{part}").read_text()) for part in ("max", "current"))
-        entries = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
-    except (OSError, ValueError):
-        return 2**63
-    return limit - used + int(entries.get("inactive_file", 0))  # file cache makes way
+    return free_memory()

@@ -1,6 +1,7 @@
-"""What a sweep shows while it runs."""
+"""What a program shows while it runs."""
 
 import math
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from types import TracebackType
@@ -14,15 +15,36 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.text import Text
 
 
+class SteadyConsole(Console):
+    """A console on standard error that never hides the cursor.
+
+    So a process that is killed cannot leave it hidden, and nobody needs to bring it back.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(stderr=True)
+
+    def show_cursor(self, show: bool = True) -> bool:
+        """Do nothing, and say so."""
+        del show
+        return False
+
+    @property
+    def can_redraw(self) -> bool:
+        """Whether there is a terminal, which FORCE_COLOR, for one, does not make."""
+        return self.is_terminal and self.file.isatty() and not self.is_dumb_terminal
+
+
 class SweepProgress:
     """A bar with ETA and env_steps/s, and the success of every run so far.
 
     On a terminal it is redrawn in place; elsewhere there is one line per epoch.
     """
 
-    def __init__(self, cycles: int, console: Console | None = None) -> None:
+    def __init__(self, cycles: int) -> None:
         """Expect `cycles` cycles, summed over the groups of the sweep."""
-        self._console = console or Console(stderr=True)
+        self._console = SteadyConsole()
+        self._redraws = self._console.can_redraw
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -40,7 +62,7 @@ class SweepProgress:
         self._steps = 0
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal:
+        if self._redraws:
             self._live.__enter__()
         return self
 
@@ -50,7 +72,7 @@ class SweepProgress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._console.is_terminal:
+        if self._redraws:
             if self._bar.finished:  # a summary comes that lists all runs; once is enough
                 self._live.update(self._bar)
             self._live.__exit__(kind, error, trace)
@@ -70,14 +92,15 @@ class SweepProgress:
         success = {row["run"]: success_of(row) for row in rows}
         self._success.update(success)
         self._redraw()
-        if not self._console.is_terminal:
+        if not self._redraws:
             rates = sorted(rate for rate in success.values() if math.isfinite(rate)) or [math.nan]
-            self._console.print(
+            print(
                 f"epoch {epoch}: {rows[0]['env_steps']:,} env_steps, success median "
                 f"{_percent(rates[len(rates) // 2])} of {len(rates)} runs "
                 f"({_percent(rates[0])} to {_percent(rates[-1])}), "
                 f"{time.monotonic() - self._started:.0f} s",
-                highlight=False,
+                file=sys.stderr,
+                flush=True,
             )
 
     def _redraw(self) -> None:
@@ -86,6 +109,50 @@ class SweepProgress:
             for name, rate in self._success.items()
         ]
         self._live.update(Group(self._bar, Columns(rows, padding=(0, 3))))
+
+
+class CountProgress:
+    """How many of something are done: a bar on a terminal; elsewhere a line now and then."""
+
+    FIRST_LINE, LINES = 5.0, 15.0
+    """Seconds until the first line, and between lines: what is short prints none."""
+
+    def __init__(self, unit: str) -> None:
+        """Count things that are called `unit`, such as episodes."""
+        console = SteadyConsole()
+        self._redraws = console.can_redraw
+        self._unit = unit
+        self._bar = Progress(
+            TextColumn(f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TextColumn("ETA"),
+            TimeRemainingColumn(compact=True),
+            console=console,
+            transient=True,
+            disable=not self._redraws,
+        )
+        self._task = self._bar.add_task("", total=1, visible=False)
+        self._next_line = time.monotonic() + self.FIRST_LINE
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def show(self, done: int, total: int) -> None:
+        """So many of so many are done."""
+        self._bar.update(self._task, completed=done, total=total, visible=True)
+        if not self._redraws and time.monotonic() >= self._next_line:
+            self._next_line = time.monotonic() + self.LINES
+            print(f"{done:,} of {total:,} {self._unit}", file=sys.stderr, flush=True)
 
 
 def _percent(rate: float) -> str:

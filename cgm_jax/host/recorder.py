@@ -47,6 +47,7 @@ class Recorder:
         self._facts = [_facts(run, swept) for run in group.runs]
         self._interval = checkpoint_seconds
         self._saved = time.monotonic()
+        self._config = directory.config_bytes()  # as it was when training began
         self._best = {run.name: 0.0 for run in group.runs}
         for line in rows:
             self._improves(json.loads(line))
@@ -97,7 +98,8 @@ class Recorder:
             self._group.runs, _policies(self._group, standing.state), strict=True
         ):
             self._directory.write_policy(run, policy)
-        save_checkpoint(self._directory.path / "checkpoints", self._index, standing)
+        checkpoints = self._directory.path / "checkpoints"
+        save_checkpoint(checkpoints, self._index, standing, self._config)
         self._saved = time.monotonic()
 
     def _improves(self, row: dict[str, Any]) -> bool:

@@ -11,8 +11,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, split, structure, swept_settings
+from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import Standing, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
@@ -22,7 +23,7 @@ from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.watchdog import watchdog
-from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.environment import make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
@@ -64,6 +65,8 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         programs = made[settings]
         trainer = programs.trainer
         _check_counters(trainer)
+        remarks = [*remarks_on(trainer.setup.env), *_remarks_on_discount(trainer, runs)]
+        notes += [remark for remark in remarks if remark not in notes]
         estimate = estimate_memory(trainer, runs[0].hyper)
         if not planned:
             (whole,) = parts
@@ -81,6 +84,22 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
 def _program(group: Group) -> object:
     """What groups of one program have in common."""
     return structure(group.settings, group.runs[0].hyper)
+
+
+def _remarks_on_discount(trainer: Trainer, runs: Sequence[Run]) -> list[str]:
+    """What to say of runs that bootstrap from states in which they never act.
+
+    The critic knows a state's value from the actions taken in it. With one step to an episode none
+    is ever taken in the state that follows, whose value then drifts and takes the others along.
+    """
+    settings, episode_length = trainer.setup.settings, trainer.setup.env.episode_length
+    discount = max((run.values.get("discount", 0.0) for run in runs), default=0.0)
+    if episode_length > 1 or not discount:
+        return []
+    return [
+        f"{settings.env}: its episodes have one step, so that nothing follows whose value discount "
+        f"({discount:g}) could count: --discount 0 is what they need"
+    ]
 
 
 def _check_counters(trainer: Trainer) -> None:
@@ -126,6 +145,7 @@ def run_jobs(
     swept = swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         standing = _begin(job, index, directory)
+        _keep_lost_metrics(standing, index, directory, rows)
         directory.replace_metrics(rows + standing.rows)
         settings = job.group.settings
         progress.skip(standing.epoch * settings.cycles_per_epoch + standing.cycle)
@@ -143,6 +163,11 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
     hyper = job.group.hyper()
     like = jax.eval_shape(job.programs.start, hyper)
     standing, notes = load_checkpoint(directory.path / "checkpoints", index, like)
+    if standing is not None:
+        try:
+            standing.rows = _renamed(standing.rows, job.group)
+        except (KeyError, TypeError) as error:
+            raise SettingError(f"resume: a checkpoint holds rows of other runs: {error}") from None
     where = f"after epoch {standing.epoch}" if standing else "from the beginning"
     for note in notes:
         print(f"{note}; going on {where}", file=sys.stderr)
@@ -150,6 +175,42 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
         with device_errors():
             standing = Standing(jax.block_until_ready(job.programs.start(hyper)))
     return standing
+
+
+def _renamed(rows: Sequence[str], group: Group) -> list[str]:
+    """Lines of metrics.jsonl with the names of today for own code: its files may have moved."""
+    now = {
+        run.name: {kind: run.values[kind] for kind in NAMES if kind in run.values}
+        for run in group.runs
+    }
+    renamed = []
+    for line in rows:
+        row = json.loads(line)
+        names = {kind: name for kind, name in now[row["run"]].items() if kind in row}
+        if not isinstance(row["success_rate"], int | float | None):
+            raise TypeError(f"a success rate of {row['success_rate']!r}")
+        renamed.append(line if row == row | names else json.dumps(row | names) + "\n")
+    return renamed
+
+
+def _keep_lost_metrics(
+    standing: Standing, index: int, directory: RunDirectory, rows: Sequence[str]
+) -> None:
+    """Say that a group begins anew, and set metrics aside that would be lost by that.
+
+    Args:
+        standing: where the group stands.
+        index: its number.
+        directory: what an earlier process has written, if there was one.
+        rows: what groups before this one have written.
+    """
+    lines = directory.count_metrics()
+    if standing.epoch or standing.cycle or lines is None or (index and lines <= len(rows)):
+        return
+    note = f"no checkpoint of group {index}: it begins anew"
+    if lines > len(rows):
+        note += f", and the metrics until now are kept as {directory.set_metrics_aside()}"
+    print(note, file=sys.stderr)
 
 
 def _train(

@@ -1,16 +1,18 @@
 """From groups of runs to an exit code: what sweep and train have in common."""
 
+import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, structure
 from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import TrainingOptions
+from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
@@ -34,23 +36,32 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
 
     Raises:
         SettingError: before anything compiles, if something cannot be as it is asked for.
+        InUseError: before anything compiles, if another process trains in the directory.
     """
-    out = options.resume or options.out or _default_directory(preset)
-    with Interruption() as interruption:
-        recorded = _recorded_groups(out, groups)
+    out = options.resume or options.out
+    with Interruption(ends_process=owns_process()) as interruption:
+        moved = {}
+        if out is not None and (restored := RunDirectory(out).restore_config()) is not None:
+            print(restored, file=sys.stderr)
+        if groups is None and out is not None:
+            # What own code the user names goes with what the directory holds.
+            named = {kind: getattr(options, kind) or () for kind in NAMES}
+            moved = RunDirectory.open(out).moved(named)
+        recorded = None if out is None else _recorded_groups(out, groups, moved)
         prepare_jax()
         import jax
 
         from cgm_jax.host.runner import plan_jobs
 
         jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
+        out = out or _new_directory(preset)
         try:
             with RunDirectory.claimed(out, fresh=recorded is None) as directory:
+                device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                 if recorded is None:
-                    device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                     directory.write_config([job.group for job in jobs], preset, device)
                 else:
-                    notes += _notes_on_resuming(directory)
+                    notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
                 return _train(jobs, directory, interruption, options.checkpoint_seconds)
         except OSError as error:
@@ -59,19 +70,46 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             return ExitCode.CANNOT_WRITE
 
 
-def _default_directory(preset: str) -> Path:
-    return Path("runs") / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
+def _new_directory(preset: str) -> Path:
+    """Make a directory named for the time, which nobody else gets, however many start at once.
+
+    Raises:
+        SettingError: it cannot be made.
+    """
+    first = Path("runs") / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
+    names = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
+    try:
+        first.parent.mkdir(exist_ok=True)
+        return next(path for path in names if _made(path))
+    except OSError as error:
+        raise SettingError(f"out: cannot write to {first}: {error.strerror}") from None
 
 
-def _recorded_groups(out: Path, groups: Sequence[Group] | None) -> list[Group] | None:
+def _made(path: Path) -> bool:
+    """Whether this process has made the directory, which until now was not there."""
+    try:
+        path.mkdir()
+    except FileExistsError:
+        return False
+    return True
+
+
+def _recorded_groups(
+    out: Path, groups: Sequence[Group] | None, moved: Mapping[str, str]
+) -> list[Group] | None:
     """What the directory holds, as it was split; None if it is new.
+
+    Args:
+        out: the directory.
+        groups: what is asked for; None for what the directory holds.
+        moved: environments that have been named again, see `RunDirectory.moved`.
 
     Raises:
         SettingError: it holds something else than what is asked for.
     """
     directory = RunDirectory(out)
     if groups is None:
-        return RunDirectory.open(out).groups()
+        return RunDirectory.open(out).groups(moved)
     if not directory.holds_sweep():
         return None
     recorded = directory.groups()
@@ -89,10 +127,13 @@ def _merged(groups: Sequence[Group]) -> list[Group]:
     return [Group(settings, tuple(runs)) for (settings, _), runs in merged.items()]
 
 
-def _notes_on_resuming(directory: RunDirectory) -> list[str]:
+def _notes_on_resuming(
+    directory: RunDirectory, device: str, groups: Sequence[Group], moved: Mapping[str, str]
+) -> list[str]:
     notes = ["going on where it was stopped"]
-    if changed := directory.changes_since_begun():
+    if changed := directory.changes_since_begun(device, groups, moved):
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
+        directory.record_resumption(changed, moved)
     return notes
 
 
@@ -104,7 +145,6 @@ def _train(
 ) -> int:
     from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
     from cgm_jax.host.runner import run_jobs
-    from cgm_jax.results.figures import draw_figures
 
     started = time.monotonic()
     cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
@@ -115,18 +155,39 @@ def _train(
         print(f"error: {error}", file=sys.stderr)
         print(_how_to_go_on(directory.path), file=sys.stderr)
         return ExitCode.FAILED
-    if directory.metrics():
-        draw_figures(directory)
     if rows is None:
         print(f"stopped; {_how_to_go_on(directory.path)}", file=sys.stderr)
-        return ExitCode.STOPPED
-    print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
-    print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
+    else:
+        print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
+        print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
+    _draw_figures(directory)
+    return ExitCode.STOPPED if rows is None else _verdict(rows)
+
+
+def _draw_figures(directory: RunDirectory) -> None:
+    """Draw what can be drawn; training is done, and its outcome does not depend on it."""
+    try:
+        from cgm_jax.results.figures import draw_figures
+
+        draw_figures(directory)
+    except Exception as error:
+        line = str(error).partition("\n")[0]
+        print(f"no figures drawn: {type(error).__name__}: {line}", file=sys.stderr)
+
+
+def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
+    """The exit code for the last row of every run; says which is not as it should be."""
     diverged = sum(row["failure"] is not None for row in rows)
     if diverged:
         print(f"{diverged} of {len(rows)} runs diverged", file=sys.stderr)
-    return ExitCode.DIVERGED if diverged else ExitCode.DONE
+    dropped = sum(row["success_rate"] is None for row in rows)
+    if dropped:
+        print(
+            f"{dropped} of {len(rows)} runs had no valid episode in their last evaluation",
+            file=sys.stderr,
+        )
+    return ExitCode.DIVERGED if diverged or dropped else ExitCode.DONE
 
 
 def _how_to_go_on(out: Path) -> str:
-    return f"to go on: python -m cgm_jax.sweep --resume {out}"
+    return f"to go on: {shell_command('cgm_jax.sweep', '--resume', out)}"

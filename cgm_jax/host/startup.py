@@ -5,6 +5,8 @@ from pathlib import Path
 
 import jax
 
+from cgm_jax.host.allotment import available_cores
+
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
 """LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as
 at the default and runs no slower: its time goes into matrix products and physics, which are
@@ -13,17 +15,26 @@ libraries. It has no effect on a GPU.
 
 
 def prepare_jax() -> None:
-    """Compile fast, keep compiled programs between processes, and keep MJX quiet.
+    """Compile fast, keep compiled programs between processes, and take the cores given.
 
     Variables and flags that the user has set are left alone.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{OPTIMISATION_LEVEL}=1".strip()
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = Path.home() / ".cache" / "cgm_jax" / "xla"
+    # Threads of XLA on a CPU, which by itself looks at the affinity alone.
+    os.environ.setdefault("PJRT_NPROC", str(available_cores()))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (cache := _cache_directory()) is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
-    import cgm_jax.envs  # noqa: F401 -- imports MJX without its remarks, ahead of Brax
+
+def _cache_directory() -> Path | None:
+    """Where compiled programs are kept; None if there is no home to keep them in."""
+    try:
+        cache = Path.home() / ".cache" / "cgm_jax" / "xla"
+        cache.mkdir(parents=True, exist_ok=True)
+    except (RuntimeError, OSError):  # no HOME and no passwd entry; or not to be written to
+        return None
+    return cache if os.access(cache, os.W_OK) else None

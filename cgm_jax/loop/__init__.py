@@ -11,3 +11,5 @@ state.py        everything that training carries from step to step
 inputs.py       what the networks see; normaliser.py its running mean and standard deviation
 environment.py  the environment that a setting names
 """
+
+from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax

@@ -86,11 +86,16 @@ def _view(setup: Setup, state: TrainingState, hyper: Hyperparameters, first: obj
         inputs = network_inputs(setup, hyper, state.normaliser, observation, goal, mask, threshold)
         return agent.value(state.agent, inputs, agent.act(state.agent, inputs))
 
+    def draw(key: jax.Array, count: int) -> jax.Array:
+        # Only the goals are used, so that XLA leaves out physics that they do not depend on.
+        return reset(setup.env, key, count).obs["desired_goal"]
+
     return View(
         first=first,
         achieved=state.replay.episodes.achieved_goal,
         filled=size(state.replay),
         value=value,
+        draw=draw,
     )
 
 

@@ -84,5 +84,9 @@ def _training_metrics(statistics: EpochStatistics) -> Metrics:
 
 
 def _share(part: jax.Array, whole: jax.Array) -> jax.Array:
-    """A share, or NaN (written as null) of nothing; without dividing 0 by 0."""
-    return jnp.where(whole > 0, part / jnp.maximum(whole, 1), jnp.nan)
+    """A share, or NaN (written as null) of nothing; without dividing 0 by 0.
+
+    While JAX searches for NaN it must not find this one, so that it is infinite then.
+    """
+    nothing = -jnp.inf if jax.config.jax_debug_nans else jnp.nan  # pyright: ignore
+    return jnp.where(whole > 0, part / jnp.maximum(whole, 1), nothing)

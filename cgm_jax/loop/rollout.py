@@ -45,7 +45,7 @@ def drawn_goals(env: GoalEnvironment, first: State) -> Goals:
     return Goals(
         desired=desired,
         mask=jnp.ones_like(desired),
-        threshold=jnp.full(desired.shape[0], env.distance_threshold),
+        threshold=jnp.full(desired.shape[0], env.distance_threshold, desired.dtype),
     )
 
 
@@ -119,11 +119,12 @@ def _judge(
         jnp.isfinite(rows).all(axis=(1, 2))
         for rows in (episodes.observation, episodes.achieved_goal, episodes.action)
     ]
+    kept = jnp.isfinite(goal) | (goals.mask == 0)
     outcomes = Outcomes(
         goals=goals,
         success=is_achieved(goal, goals.mask, final, goals.threshold),
         subgoal_success=jnp.abs(final - goal) < distance_threshold,
-        valid=(warnings == 0) & jnp.stack(finite).all(axis=0),
+        valid=(warnings == 0) & jnp.stack(finite).all(axis=0) & kept.all(axis=1),
         observation=episodes.observation[:, 0],
     )
     whole = jnp.linalg.norm(final - goal, axis=-1) < distance_threshold

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from cgm_jax.config.fields import check_concrete
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.masks import MAX_TABULATED
@@ -67,8 +68,10 @@ def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
     """The state of a run before any training; of its randomness, `hyper.seed` is all.
 
     Raises:
-        SettingError: the environment, the loop, the agent and the curriculum do not go together.
+        SettingError: the environment, the loop, the agent and the curriculum do not go together,
+            or a value that is not traced is out of its range.
     """
+    check_concrete(hyper)
     known, settings = sizes(setup, hyper), setup.settings
     key, agent_key = jax.random.split(jax.random.key(hyper.seed))
     length = known.episode_length

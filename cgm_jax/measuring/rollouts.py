@@ -8,7 +8,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from cgm_jax import envs
-from cgm_jax.envs.physics.native import SENSOR_STAGE, available_cores
+from cgm_jax.envs.physics.native import SENSOR_STAGE
+from cgm_jax.host.allotment import available_cores
 from cgm_jax.measuring.figures import Figure, medians
 
 

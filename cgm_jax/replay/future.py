@@ -18,7 +18,7 @@ from cgm_jax.curricula.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Relabelling, Transitions
 from cgm_jax.replay.ring import Replay, size
 
-LEAST_MOTION = 0.05
+MIN_MOTION = 0.05
 """An episode moved its achieved goal if it strayed farther than this share of the distance
 threshold from where it began."""
 
@@ -42,17 +42,17 @@ class Future(Relabelling):
         """
         episodes = replay.episodes
         episode_length = episodes.action.shape[1]
-        uniform = jax.random.uniform(key, (4, count))
-        relabel = uniform[3] < jnp.where(self.her, self.her_k / (self.her_k + 1.0), 0.0)
+        for_episode, for_step, for_future, for_relabel = jax.random.uniform(key, (4, count))
+        relabel = for_relabel < jnp.where(self.her, self.her_k / (self.her_k + 1.0), 0.0)
         moved = moved_goal(episodes.achieved_goal, distance_threshold)
         eligible = moved & (jnp.arange(len(moved)) < size(replay)) & self.her_filter
         episode = jnp.where(
             relabel & eligible.any(),
-            _drawn_among(eligible, uniform[0]),
-            integer_below(jnp.maximum(size(replay), 1), uniform[0]),
+            _drawn_among(eligible, for_episode),
+            integer_below(jnp.maximum(size(replay), 1), for_episode),
         )
-        step = integer_below(episode_length, uniform[1])
-        future = step + 1 + integer_below(episode_length - step, uniform[2])
+        step = integer_below(episode_length, for_step)
+        future = step + 1 + integer_below(episode_length - step, for_future)
 
         hindsight_goal = episodes.achieved_goal[episode, future]
         goal = jnp.where(relabel[:, None], hindsight_goal, episodes.desired_goal[episode])
@@ -77,9 +77,9 @@ class Future(Relabelling):
 
 
 def moved_goal(achieved_goal: jax.Array, distance_threshold: float) -> jax.Array:
-    """Whether episodes moved their achieved goal [E, T + 1, n], [E] bool; see `LEAST_MOTION`."""
+    """Whether episodes moved their achieved goal [E, T + 1, n], [E] bool; see `MIN_MOTION`."""
     strayed = jnp.linalg.norm(achieved_goal[:, 1:] - achieved_goal[:, :1], axis=-1).max(axis=1)
-    return strayed > LEAST_MOTION * distance_threshold
+    return strayed > MIN_MOTION * distance_threshold
 
 
 def _drawn_among(eligible: jax.Array, uniform: jax.Array) -> jax.Array:

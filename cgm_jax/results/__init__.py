@@ -1,7 +1,7 @@
 """What is made of runs.
 
-figures/       learning curves, epochs to 50 %, masks, what curricula report: from metrics.jsonl
-policies.py    success of exported policies, noise-free, with any mask
+figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
+policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for
 video.py       videos of their episodes
-statistics.py  when a run reaches or holds a success
+statistics.py  when a run holds a success
 """

@@ -1,12 +1,12 @@
 """Success of exported policies, or of random actions, and the episodes behind it."""
 
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import State
 from flax import struct
 
 from cgm_jax.config.fields import SettingError
@@ -18,32 +18,28 @@ from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
-from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
+from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
 from cgm_jax.replay.ring import Episodes
+from cgm_jax.results.plan import AXES, Plan
 from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
 
-AXES = "xyz"
-"""Letters of the first goal dimensions, as `--mask` names them."""
+if TYPE_CHECKING:
+    from brax.envs.base import State
 
+Progress = Callable[[int, int], None]
+"""Is told how many episodes of how many are done, over all policies."""
 
-@dataclass(frozen=True)
-class Plan:
-    """What to evaluate on.
+Result = tuple[jax.Array, jax.Array, "Film | None"]
+"""Successes, valid episodes, and the film."""
 
-    Attributes:
-        episodes: how many per policy.
-        seed: of starts and goals, the same for every policy.
-        mask: goal axes that count as achieved, letters of `AXES`; "" is the full goal.
-        filmed: of how many episodes, the first ones, to keep every state.
-        engine: physics engine to use instead of the one in the settings, or None.
-    """
+CHUNK_EPISODES = 256
+"""Episodes that a policy plays in one call of the device, at most: seconds, so that progress shows
+and memory is bounded.
+"""
 
-    episodes: int
-    seed: int
-    mask: str = ""
-    filmed: int = 0
-    engine: str | None = None
+CHUNK_ROWS = 4096
+"""Episodes over all policies in one such call."""
 
 
 class Film(struct.PyTreeNode):
@@ -87,7 +83,11 @@ class Outcome:
 
 
 def evaluate_directory(
-    directory: RunDirectory, plan: Plan, only: str | None = None
+    directory: RunDirectory,
+    plan: Plan,
+    only: str | None = None,
+    moved: Mapping[str, str] | None = None,
+    progress: Progress = lambda done, total: None,
 ) -> dict[str, Outcome]:
     """Outcome of every policy in a run directory, by run name.
 
@@ -97,12 +97,14 @@ def evaluate_directory(
         directory: what a sweep or a training run has written.
         plan: the episodes.
         only: name of the one run to evaluate; None for all.
+        moved: environments that have been named again, see `RunDirectory.moved`.
+        progress: is told of every chunk of episodes.
 
     Raises:
-        SettingError: a policy is malformed, there is none, or the plan does not fit the
-            environment.
+        SettingError: a policy is malformed or made for something else, there is none, the plan
+            does not fit the environment, or the user has not named the environment's file.
     """
-    groups = directory.groups()
+    groups = directory.groups(moved)
     if only is not None:
         groups = [
             replace(group, runs=tuple(run for run in group.runs if run.name == only))
@@ -118,13 +120,22 @@ def evaluate_directory(
     pairs = [(planned_environment(one.settings, plan), one) for one in trained if one.runs]
     if not pairs:
         raise SettingError(f"{directory.path} holds no policy yet")
-    results = {}
+    total, results = plan.episodes * sum(len(group.runs) for _, group in pairs), {}
     for env, group in pairs:
-        results |= _evaluate_group(env, group, directory, plan)
+        before = plan.episodes * len(results)
+        results |= _evaluate_group(
+            env,
+            group,
+            directory,
+            plan,
+            lambda done, _, before=before: progress(before + done, total),
+        )
     return results
 
 
-def evaluate_random(settings: Settings, plan: Plan) -> Outcome:
+def evaluate_random(
+    settings: Settings, plan: Plan, progress: Progress = lambda done, total: None
+) -> Outcome:
     """Outcome of uniformly random actions in the environment that `settings` names.
 
     Raises:
@@ -132,20 +143,23 @@ def evaluate_random(settings: Settings, plan: Plan) -> Outcome:
     """
     env = planned_environment(settings, plan)
 
-    def policy(observation: jax.Array, goal: jax.Array, noise: Exploration | None) -> jax.Array:
-        del observation, goal
-        assert noise is not None
-        return noise.random_action
-
-    @jax.jit
-    def play() -> tuple[jax.Array, jax.Array, Film | None]:
-        shape = (env.episode_length, plan.episodes, env.action_size)
+    def play(_: Any, chunk: Chunk, filmed: int) -> Result:
+        shape = (env.episode_length, len(chunk.keys), env.action_size)
         # The seed's own key draws starts and goals, as for every policy.
         key = jax.random.fold_in(jax.random.key(plan.seed), 1)
-        return _play(env, policy, plan, draw_exploration(key, shape, Hyperparameters()))
+        key = jnp.where(chunk.start == 0, key, jax.random.fold_in(key, chunk.start))
+        noise = draw_exploration(key, shape, Hyperparameters())
+        return _play(env, _random_policy, plan, chunk, filmed, noise)
 
-    successes, valid, film = play()
-    return Outcome(env, plan.episodes, int(valid), int(successes), film)
+    (outcome,) = _play_all(env, play, {"none": np.zeros((1, 0))}, 1, plan, progress)
+    return outcome
+
+
+def _random_policy(observation: jax.Array, goal: jax.Array, noise: Exploration | None) -> jax.Array:
+    del observation, goal
+    if noise is None:
+        raise ValueError("random actions need noise")
+    return noise.random_action
 
 
 def planned_environment(settings: Settings, plan: Plan) -> GoalEnvironment:
@@ -174,49 +188,136 @@ def goal_mask(mask: str, goal_size: int) -> np.ndarray:
 
 
 def _evaluate_group(
-    env: GoalEnvironment, group: Group, directory: RunDirectory, plan: Plan
+    env: GoalEnvironment, group: Group, directory: RunDirectory, plan: Plan, progress: Progress
 ) -> dict[str, Outcome]:
+    sizes = _sizes(env)
     try:
-        policies = [load_policy(directory.policy_path(run)) for run in group.runs]
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
+        policies = [load_policy(directory.policy_path(run), *sizes) for run in group.runs]
     except ValueError as error:
         raise SettingError(str(error)) from None
+    shapes = [{name: array.shape for name, array in policy.items()} for policy in policies]
+    for run, shape in zip(group.runs, shapes, strict=True):
+        if shape != shapes[0]:
+            first = directory.policy_path(group.runs[0])
+            path = directory.policy_path(run)
+            raise SettingError(f"{path}: its layers are others than those of {first}")
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
 
-    def play(arrays: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array, Film | None]:
+    def play(arrays: dict[str, jax.Array], chunk: Chunk, filmed: int) -> Result:
         def policy(observation: jax.Array, goal: jax.Array, _: Exploration | None) -> jax.Array:
             return act(arrays, observation, goal, goal_mask(plan.mask, _goal_size(env)))
 
-        return _play(env, policy, plan)
+        return _play(env, policy, plan, chunk, filmed)
 
-    successes, valid, film = jax.jit(jax.vmap(play))(stacked)
-    return {
-        run.name: Outcome(
-            env=env,
-            episodes=plan.episodes,
-            valid=int(valid[i]),
-            successes=int(successes[i]),
-            film=jax.tree.map(lambda leaf, i=i: leaf[i], film),
+    outcomes = _play_all(env, play, stacked, len(group.runs), plan, progress)
+    return {run.name: outcome for run, outcome in zip(group.runs, outcomes, strict=True)}
+
+
+class Chunk(struct.PyTreeNode):
+    """Episodes that are played in one call of the device.
+
+    Attributes:
+        keys: of their starts and goals, [E].
+        counted: which of them count; the others only fill the last chunk up, [E] bool.
+        start: number of the first one.
+    """
+
+    keys: jax.Array
+    counted: jax.Array
+    start: jax.Array
+
+
+def _play_all(
+    env: GoalEnvironment,
+    play: Callable[[Any, Chunk, int], Result],
+    policies: Any,
+    count: int,
+    plan: Plan,
+    progress: Progress,
+) -> list[Outcome]:
+    """All episodes of all policies, in calls of bounded size, all of one shape.
+
+    Args:
+        env: what they play in.
+        play: one policy's chunk of episodes, of which so many are filmed.
+        policies: what `play` takes, every leaf with a leading axis of policies.
+        count: how many policies there are.
+        plan: the episodes.
+        progress: is told of every chunk of episodes.
+    """
+
+    def play_side_by_side(policies: Any, chunk: Chunk, filmed: int) -> Result:
+        return jax.vmap(lambda policy: play(policy, chunk, filmed))(policies)
+
+    program = jax.jit(play_side_by_side, static_argnums=2)
+    size = min(plan.episodes, CHUNK_EPISODES)
+    width = min(count, max(1, CHUNK_ROWS // size))
+    outcomes: list[Outcome] = []
+    for first in range(0, count, width):
+        here = min(width, count - first)
+        rows = np.minimum(np.arange(first, first + width), count - 1)
+        block = jax.tree.map(lambda leaf, rows=rows: leaf[rows], policies)
+        successes, valid, films = np.zeros(width, int), np.zeros(width, int), []
+        for chunk in _chunks(plan, size):
+            start = int(chunk.start)
+            filmed = min(max(0, plan.filmed - start), size)
+            successful, held, film = program(block, chunk, filmed)
+            successes += np.asarray(successful)
+            valid += np.asarray(held)
+            films += [] if film is None else [jax.tree.map(np.asarray, film)]
+            played = min(start + size, plan.episodes)
+            progress(first * plan.episodes + here * played, count * plan.episodes)
+        for i in range(here):
+            film = _join([jax.tree.map(lambda leaf, i=i: leaf[i], part) for part in films])
+            outcomes.append(Outcome(env, plan.episodes, int(valid[i]), int(successes[i]), film))
+    return outcomes
+
+
+def _chunks(plan: Plan, size: int) -> Iterator[Chunk]:
+    """The plan's episodes, `size` at a time. An episode's key depends on its number alone."""
+    keys = jax.random.split(jax.random.key(plan.seed), plan.episodes)
+    for start in range(0, plan.episodes, size):
+        numbers = np.arange(start, start + size)
+        yield Chunk(
+            keys=keys[np.minimum(numbers, plan.episodes - 1)],
+            counted=jnp.asarray(numbers < plan.episodes),
+            start=jnp.asarray(start),
         )
-        for i, run in enumerate(group.runs)
-    }
 
 
 def _play(
-    env: GoalEnvironment, policy: Policy, plan: Plan, exploration: Exploration | None = None
-) -> tuple[jax.Array, jax.Array, Film | None]:
-    """Successes, valid episodes, and the film of one policy's episodes."""
+    env: GoalEnvironment,
+    policy: Policy,
+    plan: Plan,
+    chunk: Chunk,
+    filmed: int,
+    exploration: Exploration | None = None,
+) -> Result:
+    """Successes, valid episodes, and the film of one policy's chunk of episodes."""
     mask = jnp.asarray(goal_mask(plan.mask, _goal_size(env)))
-    first = reset(env, jax.random.key(plan.seed), plan.episodes)
+    first = jax.vmap(env.reset)(chunk.keys)
     goals = drawn_goals(env, first)
     goals = goals.replace(mask=jnp.broadcast_to(mask, goals.mask.shape))
 
-    def keep(state: State) -> PhysicsState | None:
-        return _first(plan.filmed, state.pipeline_state) if plan.filmed else None
+    def keep(state: "State") -> PhysicsState | None:
+        return _first(filmed, state.pipeline_state) if filmed else None
 
     rollout = roll_out(env, policy, first, goals, exploration, keep=keep)
-    outcomes = rollout.outcomes
-    film = _film(rollout, plan.filmed) if plan.filmed else None
-    return jnp.sum(outcomes.valid & outcomes.success), jnp.sum(outcomes.valid), film
+    valid = rollout.outcomes.valid & chunk.counted
+    film = _film(rollout, filmed) if filmed else None
+    return jnp.sum(valid & rollout.outcomes.success), jnp.sum(valid), film
+
+
+def _join(parts: list[Film]) -> Film | None:
+    """One film of several, one after the other; None of none."""
+    if not parts:
+        return None
+    return Film(
+        states=jax.tree.map(lambda *rows: np.concatenate(rows, 1), *(p.states for p in parts)),
+        desired_goal=jnp.concatenate([part.desired_goal for part in parts]),
+        achieved=jnp.concatenate([part.achieved for part in parts]),
+        valid=jnp.concatenate([part.valid for part in parts]),
+    )
 
 
 def _film(rollout: Rollout, count: int) -> Film:
@@ -235,5 +336,10 @@ def _first(count: int, tree: Any) -> Any:
 
 
 def _goal_size(env: GoalEnvironment) -> int:
-    first = jax.eval_shape(env.reset, jax.random.key(0))
-    return first.obs["desired_goal"].shape[-1]
+    return _sizes(env)[1]
+
+
+def _sizes(env: GoalEnvironment) -> tuple[int, int, int]:
+    """Sizes of the observation, of the goal and of the action."""
+    obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    return obs["observation"].shape[-1], obs["desired_goal"].shape[-1], env.action_size

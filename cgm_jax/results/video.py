@@ -1,7 +1,9 @@
 """Films of Fetch episodes, as MP4 or GIF."""
 
 import contextlib
+import errno
 import itertools
+import os
 import subprocess
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -13,6 +15,7 @@ from PIL import Image
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
 from cgm_jax.results.policies import Film, goal_mask
+from cgm_jax.storage.files import PARTIAL
 
 HELD_FRAMES = 12
 """The last picture of an episode stands for half a second, so that its outcome can be seen."""
@@ -44,8 +47,13 @@ def film_frames(env: FetchEnvironment, film: Film, mask: str, width: int) -> Ite
                 yield from [frame] * (HELD_FRAMES if last else 1)
 
 
+def count_frames(film: Film) -> int:
+    """How many pictures `film_frames` makes of a film."""
+    return int(np.sum(film.valid)) * (film.achieved.shape[1] - 1 + HELD_FRAMES)
+
+
 def write_video(path: Path, frames: Iterable[np.ndarray]) -> None:
-    """Write pictures as a video in real time.
+    """Write pictures as a video in real time. It is whole or not there.
 
     Args:
         path: where to; the suffix .mp4 or .gif decides the format. Is replaced if it exists.
@@ -55,10 +63,16 @@ def write_video(path: Path, frames: Iterable[np.ndarray]) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    if path.suffix == ".gif":
-        _write_gif(path, frames)
-    else:
-        _write_mp4(path, frames)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    partial = path.with_name(f"{path.stem}{PARTIAL}{path.suffix}")  # encoders go by the suffix
+    write = _write_gif if path.suffix == ".gif" else _write_mp4
+    try:
+        write(partial, frames)
+        partial.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
@@ -70,9 +84,13 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
     options = ["-y", "-loglevel", "error", *pictures.split(), *encoding.split(), str(path)]
     # Not by imageio_ffmpeg's own writer: it forks, which JAX's threads do not bear.
     with subprocess.Popen(
-        [imageio_ffmpeg.get_ffmpeg_exe(), *options], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        [imageio_ffmpeg.get_ffmpeg_exe(), *options],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,  # Ctrl-C is for this process, which then ends the other
     ) as encoder:
-        assert encoder.stdin is not None
+        if encoder.stdin is None:
+            raise OSError("the encoder takes no input")
         with contextlib.suppress(BrokenPipeError):  # the encoder says why
             for frame in itertools.chain([first], rest):
                 encoder.stdin.write(frame.tobytes())

@@ -1,8 +1,10 @@
 """What lies on the disk.
 
 run_directory.py  config.json, metrics.jsonl, policies; lock.py one sweep per directory
+checkpoints.py    checkpoints as files: finished, whole, and the config they carry
 formats.py        older formats of config.json
 policies.py       trained policies as plain arrays
 arrays.py         files of named arrays, read as untrusted input
+provenance.py     what results depend on besides the settings
 files.py          files that are whole or not there
 """

@@ -1,4 +1,4 @@
-"""Files of named arrays (npz), read as if a stranger had made them."""
+"""Files of named arrays (npz), read as untrusted input."""
 
 import zipfile
 from collections.abc import Iterable

@@ -1,6 +1,7 @@
 """Files that are either whole or not there."""
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +27,8 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
     """
     partial = path.with_name(path.name + PARTIAL)
     try:
-        with partial.open("wb") as file:
+        partial.unlink(missing_ok=True)  # of a killed process; or a link that leads elsewhere
+        with partial.open("xb") as file:
             yield file
             if durable:
                 file.flush()
@@ -42,8 +44,14 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
 
 def _synchronise(directory: Path) -> None:
     """Bring the names in a directory to the disk: a rename is not there before."""
-    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        descriptor = os.open(directory, os.O_RDONLY)
+    except PermissionError:  # not on Windows, which has no such thing
+        return
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EBADF, errno.EOPNOTSUPP):  # network disks
+            raise
     finally:
         os.close(descriptor)

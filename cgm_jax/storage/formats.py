@@ -19,11 +19,17 @@ def upgraded(config: Any) -> Any:
         return config
     if number != 1:
         raise SettingError(f"format: {number!r} is none that this version of cgm_jax reads")
-    groups = [
-        {"runs": [_run_of_format_1(group["settings"], run) for run in group["runs"]]}
-        for group in config["groups"]
-    ]
+    groups = [part for group in config["groups"] for part in _groups_of_format_1(group)]
     return {**config, "format": FORMAT, "groups": groups}
+
+
+def _groups_of_format_1(group: dict[str, Any]) -> list[dict[str, Any]]:
+    """The runs of an old group, in groups with one curriculum each."""
+    parts: dict[str, list[dict[str, Any]]] = {}
+    for run in group["runs"]:
+        values = _run_of_format_1(group["settings"], run)
+        parts.setdefault(values["curriculum"], []).append(values)
+    return [{"runs": runs} for runs in parts.values()]
 
 
 CURRICULUM_ONLY = (

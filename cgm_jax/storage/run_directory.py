@@ -5,16 +5,18 @@ DIR/metrics.jsonl         one object per run and epoch
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
 DIR/figures/*.png
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
-DIR/lock                  held while a sweep writes here
+DIR/lock, DIR/holder      held while a sweep writes here, and by whom
+
+A directory may come from anybody. Nothing in it leads out of it, neither a name in its config nor a
+symbolic link; and code that its config names runs only if the user has named it (config/named.py).
 """
 
 import contextlib
-import importlib.metadata
+import itertools
 import json
 import math
 import os
-import platform
-import subprocess
+import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,16 +26,26 @@ from typing import Any
 
 import numpy as np
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, Run, run_of, structure
+from cgm_jax.config.grid import MAX_NAME, Group, Run, run_of, structure
+from cgm_jax.config.named import absolute, is_own, require_named
 from cgm_jax.storage.arrays import write_arrays
+from cgm_jax.storage.checkpoints import restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
-from cgm_jax.storage.lock import locked
+from cgm_jax.storage.lock import HOLDER, LOCK, locked
+from cgm_jax.storage.provenance import changes, moved_path, provenance
 
-PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
 METRICS = "metrics.jsonl"
 CONFIG = "config.json"
+PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
+
+UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
+"""What reading a config raises whose values are of other types than they should be."""
+
+MAX_CONFIG_BYTES = 2**28
+"""Of a config with as many runs as a sweep may have."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +64,15 @@ class RunDirectory:
             fresh: whether it must not hold a sweep yet.
 
         Raises:
-            SettingError: it cannot be written to, another process has it, or it is not fresh.
+            SettingError: it cannot be written to, it is not fresh, or a part of it leads elsewhere.
+            InUseError: another process has it.
         """
+        _check_parts(path)
         with contextlib.ExitStack() as stack:
             try:
                 for part in ("policies/improvements", "figures", "checkpoints"):
                     (path / part).mkdir(parents=True, exist_ok=True)
-                stack.enter_context(locked(path / "lock"))
+                stack.enter_context(locked(path))
             except OSError as error:
                 raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
             if fresh and any((path / name).exists() for name in (CONFIG, METRICS)):
@@ -70,10 +84,11 @@ class RunDirectory:
         """A directory that a sweep has written.
 
         Raises:
-            SettingError: it holds none.
+            SettingError: it holds none, or a part of it leads elsewhere.
         """
         if not cls(path).holds_sweep():
             raise SettingError(f"{path} holds no sweep: {CONFIG} is missing")
+        _check_parts(path)
         return cls(path)
 
     def holds_sweep(self) -> bool:
@@ -84,60 +99,151 @@ class RunDirectory:
             return False
 
     def write_config(self, groups: list[Group], preset: str, device: str) -> None:
-        """Record how to run the sweep again; `device` names what JAX computes on."""
-        config = {
-            "format": FORMAT,
-            "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
-            "preset": preset,
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "groups": [
-                {"runs": [{"name": run.name, **run.values} for run in group.runs]}
-                for group in groups
-            ],
-            "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
-            "python": platform.python_version(),
-            "commit": _commit(),
-            "device": device,
-            "flags": os.environ.get("XLA_FLAGS", ""),
-            "machine": _machine(),
-        }
+        """Record how to run the sweep again; `device` names what JAX computes on.
+
+        Raises:
+            SettingError: a run's name cannot be that of a file.
+        """
+        for group in groups:
+            for run in group.runs:
+                _check_name(run.name)
+        self._write_config(
+            {
+                "format": FORMAT,
+                "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
+                "preset": preset,
+                "started": _now(),
+                "groups": [
+                    {"runs": [{"name": run.name, **run.values} for run in group.runs]}
+                    for group in groups
+                ],
+                **provenance(device, _own_names(groups)),
+            }
+        )
+
+    def _write_config(self, config: Mapping[str, Any]) -> None:
         with replacing(self.path / CONFIG, durable=True) as file:
             file.write((json.dumps(config, indent=2) + "\n").encode())
 
-    def groups(self) -> list[Group]:
+    def config_bytes(self) -> bytes:
+        """What config.json holds; nothing if it cannot be read."""
+        try:
+            return (self.path / CONFIG).read_bytes()
+        except OSError:
+            return b""
+
+    def restore_config(self) -> str | None:
+        """Bring a lost or torn config.json back from a checkpoint; return a line if that was done.
+
+        Raises:
+            SettingError: it cannot be written, or a part of the directory leads elsewhere.
+        """
+        _check_parts(self.path)
+        try:
+            return restore_config(self.path / CONFIG, self.path / "checkpoints")
+        except OSError as error:
+            raise SettingError(f"out: cannot write to {self.path}: {error.strerror}") from None
+
+    def groups(self, moved: Mapping[str, str] | None = None) -> list[Group]:
         """The sweep's groups of runs, read back from its config.
 
+        Args:
+            moved: as `moved` returns it.
+
+        Raises:
+            SettingError: the config is damaged, or names code that the user has not named.
+        """
+        try:
+            config = _renamed(upgraded(self._config()), moved or {})
+            own = [(kind, text) for kind in NAMES for text in _recorded(config, kind)]
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        for kind, text in own:  # before anything is made of them
+            if is_own(text):
+                require_named(kind, text)
+        try:
+            groups = [_group(entry) for entry in config["groups"]]
+            names = [run.name for group in groups for run in group.runs]
+            if not names or len(set(names)) < len(names):
+                raise ValueError("it needs runs, each with a name of its own")
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        return groups
+
+    def moved(self, named: Mapping[str, Sequence[str]]) -> dict[str, str]:
+        """Own code of the sweep that the user has named again, elsewhere.
+
+        Args:
+            named: by setting, what the user names now.
+
+        Returns:
+            From what the config calls it to what the user does. What is where it was is not in it.
+
+        Raises:
+            SettingError: the config is damaged, or something named cannot be what it trains with.
+        """
+        moved: dict[str, str] = {}
+        for kind, texts in named.items():
+            try:
+                recorded = _recorded(upgraded(self._config()), kind)
+            except UNREADABLE as error:
+                raise self._damaged(error) from None
+            asked = {absolute(text) for text in texts}
+            gone = [text for text in recorded if is_own(text) and text not in asked]
+            for text in sorted(asked - {*recorded}):
+                before = [old for old in gone if _attribute(old) == _attribute(text)]
+                if not is_own(text) or len(before) != 1 or before[0] in moved:
+                    there = ", ".join(recorded) or "none"
+                    raise SettingError(f"{kind}: {self.path} was trained with {there}, not {text}")
+                moved[before[0]] = text
+        return moved
+
+    def changes_since_begun(
+        self, device: str, groups: Sequence[Group], moved: Mapping[str, str]
+    ) -> list[str]:
+        """Whatever results depend on that is another than when the sweep began.
+
+        Args:
+            device: what JAX computes on now.
+            groups: of the sweep, whose own code has been loaded.
+            moved: as `moved` returns it.
+
         Raises:
             SettingError: the config is damaged.
         """
         try:
-            return [_group(entry) for entry in upgraded(self._config())["groups"]]
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            return changes(self._config(), provenance(device, _own_names(groups)), moved)
+        except UNREADABLE as error:
             raise self._damaged(error) from None
 
-    def changes_since_begun(self) -> list[str]:
-        """Packages, and the machine with its cores, that are others than when the sweep began.
+    def record_resumption(self, changed: Sequence[str], moved: Mapping[str, str]) -> None:
+        """Add to the config what had changed when the sweep was resumed, and what has moved.
 
         Raises:
+            OSError: it cannot be written.
             SettingError: the config is damaged.
         """
+        if not changed:
+            return
         try:
             config = self._config()
-            before = {name: was for name, was in config["versions"].items() if name in PACKAGES}
-            changes = [
-                f"{name} {was} (now {now})"
-                for name, was in before.items()
-                if (now := importlib.metadata.version(name)) != was
-            ]
-            if config["machine"] != _machine():
-                changes.append(f"{config['machine']} (now {_machine()})")
-        except (KeyError, TypeError, AttributeError) as error:
+            files = config.get("files", {})
+            entry = {"time": _now(), "changed": list(changed)}
+            config |= {
+                "groups": _renamed(config["groups"], moved),
+                "files": {str(moved_path(name, moved)): files[name] for name in files},
+                "resumed": [*config.get("resumed", []), entry],
+            }
+        except UNREADABLE as error:
             raise self._damaged(error) from None
-        return changes
+        self._write_config(config)
 
     def _config(self) -> Any:
+        path = self.path / CONFIG
         try:
-            return json.loads((self.path / CONFIG).read_bytes())
+            if path.stat().st_size > MAX_CONFIG_BYTES:
+                raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
+            return json.loads(path.read_bytes())
         except (OSError, ValueError, RecursionError) as error:
             raise self._damaged(error) from None
 
@@ -152,7 +258,7 @@ class RunDirectory:
         Raises:
             OSError: they cannot be written.
         """
-        with (self.path / METRICS).open("a") as file:
+        with (self.path / METRICS).open("a", encoding="utf-8") as file:
             file.writelines(rows)
 
     def replace_metrics(self, rows: Sequence[str]) -> None:
@@ -164,9 +270,26 @@ class RunDirectory:
         with replacing(self.path / METRICS, durable=True) as file:
             file.writelines(row.encode() for row in rows)
 
+    def count_metrics(self) -> int | None:
+        """How many lines metrics.jsonl has, whole or torn; None if it is not there."""
+        path = self.path / METRICS
+        return len(path.read_bytes().splitlines()) if path.exists() else None
+
+    def set_metrics_aside(self) -> Path:
+        """Give metrics.jsonl another name, metrics.jsonl.1 or the next that is free; return it.
+
+        Raises:
+            OSError: it cannot be renamed.
+        """
+        path = self.path / METRICS
+        names = (path.with_name(f"{METRICS}.{number}") for number in itertools.count(1))
+        aside = next(name for name in names if not name.exists())
+        path.replace(aside)
+        return aside
+
     def metrics(self) -> list[dict[str, Any]]:
         """All lines of metrics.jsonl, less one that a killed process left half written."""
-        with (self.path / METRICS).open() as file:
+        with (self.path / METRICS).open(encoding="utf-8") as file:
             return [json.loads(line) for line in file if line.endswith("\n")]
 
     def policy_path(self, run: Run) -> Path:
@@ -205,7 +328,8 @@ def _group(entry: Any) -> Group:
     pairs = []
     for values in entry["runs"]:
         values = dict(values)
-        name = str(values.pop("name"))
+        name = values.pop("name")
+        _check_name(name)
         if "hidden_layers" in values:
             values["hidden_layers"] = tuple(values["hidden_layers"])
         pairs.append(run_of(name, values))
@@ -214,27 +338,64 @@ def _group(entry: Any) -> Group:
     return Group(static, tuple(run for _, run in pairs))
 
 
-def _commit() -> str | None:
-    """The commit of this checkout, marked if it has changes; None in an installed wheel."""
-    checkout = Path(__file__).parents[2]
-    if not (checkout / ".git").exists():
-        return None
-    describe = ["describe", "--always", "--exclude=*", "--abbrev=12", "--dirty"]
-    git = ["git", "-C", str(checkout), *describe]
-    try:
-        result = subprocess.run(git, capture_output=True, text=True, check=False)
-    except OSError:
-        return None
-    return result.stdout.strip() or None
+def _recorded(config: Any, kind: str) -> list[str]:
+    """What a config's runs have as their environment, or as another setting that is a name."""
+    runs = [run for group in config["groups"] for run in group["runs"] if kind in run]
+    return list(dict.fromkeys(run[kind] for run in runs if isinstance(run[kind], str)))
 
 
-def _machine() -> str:
-    """The system, and how many of its cores this process may use: bits depend on both."""
-    from cgm_jax.envs.physics.native import available_cores  # imports JAX
+def _renamed(values: Any, names: Mapping[str, str]) -> Any:
+    """A config, or a part of it, with other names for own code."""
+    if isinstance(values, str):
+        return names.get(values, values)
+    if isinstance(values, dict):
+        return {key: _renamed(value, names) for key, value in values.items()}
+    return [_renamed(value, names) for value in values] if isinstance(values, list) else values
 
-    usable, there = available_cores(), os.cpu_count()
-    cores = f"{there} cores" if usable == there else f"{usable} of {there} cores"
-    return f"{platform.platform()}, {cores}"
+
+def _own_names(groups: Sequence[Group]) -> list[str]:
+    names = [run.values.get(kind) for group in groups for run in group.runs for kind in NAMES]
+    return list(dict.fromkeys(name for name in names if name and is_own(name)))
+
+
+def _attribute(text: str) -> str:
+    return text.rpartition(":")[2]
+
+
+def _check_name(name: Any) -> None:
+    """Check that a run's name is one of a file, in whichever directory it is put.
+
+    Raises:
+        ValueError: it is not.
+    """
+    sound = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
+    if not sound or not 0 < len(name.encode()) <= MAX_NAME:
+        raise SettingError(f"run: {str(name)[:60]!r} is no name for a file")
+
+
+def _check_parts(path: Path) -> None:
+    """Check that all parts of a run directory are ordinary files and directories.
+
+    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to.
+
+    Raises:
+        SettingError: one is not.
+    """
+    for part in PARTS:
+        for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
+            for name in (*folders, *files):
+                found = Path(folder) / name
+                try:
+                    mode = found.lstat().st_mode
+                except OSError:  # there is none
+                    continue
+                if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                    kind = "a symbolic link" if stat.S_ISLNK(mode) else "no ordinary file"
+                    raise SettingError(f"{found} is {kind}, which a run directory may not hold")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _plain(value: Any) -> Any:

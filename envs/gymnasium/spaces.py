@@ -6,7 +6,7 @@ from gymnasium import spaces
 
 from cgm_jax.envs.fetch import FetchEnvironment
 
-GREATEST_OBSERVATION = 1000.0
+MAX_OBSERVATION = 1000.0
 """Bound of the observation space: metres, radians, metres per control step. A robot's reach
 and a falling block stay far below; what lies beyond is broken physics."""
 
@@ -15,7 +15,7 @@ Observation = dict[str, np.ndarray]
 
 def observation_space(env: FetchEnvironment) -> spaces.Dict:
     """The space of `env`'s observations, float64 as in Gymnasium-Robotics."""
-    limit = GREATEST_OBSERVATION
+    limit = MAX_OBSERVATION
     return spaces.Dict(
         {
             name: spaces.Box(-limit, limit, (size,), np.float64)

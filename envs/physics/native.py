@@ -13,7 +13,6 @@ them through JAX arrays, which costs about ten times as much per call.
 # mujoco's compiled modules come without stubs.
 # pyright: reportAttributeAccessIssue=false
 
-import os
 import threading
 from typing import Any
 
@@ -27,6 +26,7 @@ from mujoco.batch import Batch
 from cgm_jax.envs.mocap_controller import ControlTarget
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.scene import Scene
+from cgm_jax.host.allotment import available_cores
 
 WORDS_PER_FLOAT64 = 2
 TIME_SIZE = 1  # a state row starts with the time; the positions follow
@@ -127,10 +127,3 @@ def _rows(buffer: Any) -> np.ndarray:
     """All leading axes of a host buffer as one; a view, never a copy."""
     array = np.asarray(buffer)
     return array.reshape(-1, array.shape[-1])
-
-
-def available_cores() -> int:
-    """Cores that this process may use, which in a container may be fewer than the machine's."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

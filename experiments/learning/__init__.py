@@ -12,9 +12,11 @@ From record to report:
     tables.py              how soon runs hold a success, and where they end
     paired.py              curricula compared by seed, with intervals and exact tests
     comparison.py          the paper's Fig. 4: success over training
+    overview.py            many settings beside each other, with every seed
     report_tables.py       tables of the report
     report_values.py       numbers in its sentences
 
+    sliders.py             an environment: goals of twenty dimensions
     calibration.py         how far estimates of success are off: a program of its own
     calibration_errors.py  the errors in its table
 """

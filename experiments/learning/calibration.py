@@ -19,16 +19,16 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from cgm_jax.curricula.masking import goal_masks, mask_success_rates
-from cgm_jax.loop.programs import stack_runs
 from matplotlib.figure import Figure
 
 from cgm_jax.config.grid import Run
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.curricula.masks import goal_masks, mask_success_rates
+from cgm_jax.curricula.protocol import Outcomes
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
-from cgm_jax.loop.rollout import roll_out
+from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
 from cgm_jax.results.figures import mask_label
 from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
@@ -53,20 +53,24 @@ def success_per_mask(
     each = jnp.repeat(masks, EPISODES, axis=0)
 
     def policy(observation: jax.Array, goal: jax.Array, noise: Exploration | None) -> jax.Array:
-        action = act(arrays, observation, goal)
+        action = act(arrays, observation, goal, each)
         return action if noise is None else explore(noise, action)
+
+    def play(key: jax.Array, noise: Exploration | None = None) -> Outcomes:
+        first = reset(env, key, len(each))
+        goals = drawn_goals(env, first).replace(mask=each)
+        return roll_out(env, policy, first, goals, noise).outcomes
 
     start_key, noisy_start_key, noise_key = jax.random.split(key, 3)
     noise = draw_exploration(noise_key, (env.episode_length, len(each), env.action_size), hyper)
-    clean = roll_out(env, policy, start_key, each)
-    noisy = roll_out(env, policy, noisy_start_key, each, noise)
+    clean, noisy = play(start_key), play(noisy_start_key, noise)
     full = clean.subgoal_success[-EPISODES:]
     kept_achieved = jnp.all((masks[:, None] == 0) | full, axis=-1)
     return {
         "product": mask_success_rates(masks, full.mean(axis=0)),
         "joint": kept_achieved.mean(axis=-1),
-        "without_noise": clean.masked_success.reshape(len(masks), EPISODES).mean(axis=-1),
-        "with_noise": noisy.masked_success.reshape(len(masks), EPISODES).mean(axis=-1),
+        "without_noise": clean.success.reshape(len(masks), EPISODES).mean(axis=-1),
+        "with_noise": noisy.success.reshape(len(masks), EPISODES).mean(axis=-1),
     }
 
 
@@ -76,15 +80,15 @@ def calibrate(directory: RunDirectory) -> list[dict[str, Any]]:
     Raises:
         ValueError: its runs differ in their settings or environments.
     """
-    (settings,) = {group.settings for group in directory.groups()}
+    groups = directory.groups()
+    (settings,) = {group.settings for group in groups}
     env = make_environment(settings)
     measure = jax.jit(functools.partial(success_per_mask, env))
     rows = []
-    for run in (run for group in directory.groups() for run in group.runs):
-        hyper = jax.tree.map(lambda leaf: leaf[0], stack_runs([run]))
+    for run in (run for group in groups for run in group.runs):
         for epoch, path in kept_policies(directory, run):
             key = jax.random.fold_in(jax.random.key(run.hyper.seed), epoch)
-            rates = measure(load_policy(path), hyper, key)
+            rates = measure(load_policy(path), run.hyper, key)
             columns = {column: np.asarray(values, float) for column, values in rates.items()}
             count = len(columns["product"])
             for mask in range(1, count):  # the empty mask succeeds by definition

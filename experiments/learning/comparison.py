@@ -32,29 +32,31 @@ def comparison(runs: Runs) -> Figure:
     dotted line is the success of a policy that does nothing.
     """
     settings = runs_by_setting(runs)
-    tasks = sorted({setting.env for setting in settings})
+    tasks = sorted({setting.task for setting in settings})
     nothing = {row["task"]: float(row["success"]) for row in read_table(DOING_NOTHING)}
     figure, axes = make_panels(len(tasks), width=6.0, height=4.8)
     for panel, task in zip(axes, tasks, strict=True):
-        of_task = {key: seeds for key, seeds in settings.items() if key.env == task}
+        of_task = {key: seeds for key, seeds in settings.items() if key.task == task}
+        looks = looks_of(list(of_task))
         for setting, seeds in of_task.items():
-            _draw(panel, setting, seeds, _label(setting, list(of_task)))
-        panel.set_title(task.replace("_", "-"))
+            _draw(panel, seeds, looks[setting], _label(setting, list(of_task)))
+        panel.set_title(task)
         panel.axhline(0.5, color="grey", linewidth=0.8, linestyle=":")
-        if task in nothing:
-            panel.axhline(nothing[task], color="black", linewidth=0.8, linestyle=":")
+        if task.replace("-", "_") in nothing:
+            rate = nothing[task.replace("-", "_")]
+            panel.axhline(rate, color="black", linewidth=0.8, linestyle=":")
         label_steps(panel)
         label_success(panel, "success rate, full goal")
         panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), frameon=False)
     return figure
 
 
-def _draw(panel: Axes, setting: Setting, seeds: Mapping[int, RecordedRun], label: str) -> None:
+def _draw(panel: Axes, seeds: Mapping[int, RecordedRun], look: tuple[str, str], label: str) -> None:
     """A line for the median of the runs, as far as all of them were trained.
 
     With quartiles from ten seeds on; below, a thin line for every seed, with a dot where it left.
     """
-    colour, style = look(setting)
+    colour, style = look
     label = f"{label}, {counted(len(seeds), 'seed')}"
     steps, curves = curves_of(metrics_of(list(seeds.values())), "success_rate")
     there = np.isfinite(curves).all(axis=0)
@@ -78,6 +80,21 @@ def _label(setting: Setting, panel: Sequence[Setting]) -> str:
     if len({other.random_action_steps for other in panel}) > 1:
         parts.append(f"random actions of {counted(setting.random_action_steps, 'step')}")
     return ", ".join(parts)
+
+
+SPARE_LOOKS = [("tab:olive", "-."), ("tab:pink", "-."), ("tab:gray", "-."), ("black", "-.")]
+"""For settings that would look like another of their panel."""
+
+
+def looks_of(panel: Sequence[Setting]) -> dict[Setting, tuple[str, str]]:
+    """Colour and style of every line of a panel, no two alike as far as there are spare ones."""
+    looks: dict[Setting, tuple[str, str]] = {}
+    for setting in panel:
+        looks[setting] = next(
+            (one for one in (look(setting), *SPARE_LOOKS) if one not in looks.values()),
+            look(setting),
+        )
+    return looks
 
 
 def look(setting: Setting) -> tuple[str, str]:

@@ -98,7 +98,11 @@ def improvement_interval(x: Sequence[float], y: Sequence[float]) -> tuple[float,
 
 
 def comparisons(runs: Runs) -> list[Row]:
-    """Every curriculum against no masks, and every other against the paper's CGM (10 %, 32).
+    """Settings compared by seed, where one thing tells them apart.
+
+    Every curriculum against no masks and against the paper's CGM (10 %, 32); CGM with another
+    estimate against the paper's at the same point; agents, and what networks see, against DDPG
+    that sees no masks.
 
     Compared are environment steps until a success is held, by the seeds that both have. A run that
     does not hold it by the end of the shorter training counts as holding it there; the difference
@@ -112,22 +116,38 @@ def comparisons(runs: Runs) -> list[Row]:
         for level in LEVELS:
             arms = [[settings[key][seed] for seed in seeds] for key in (one, other)]
             if entry := _comparison(arms, level):
-                names = {"env": one.env, "algorithm": one.algorithm}
+                names = {"task": one.task, "algorithm": one.algorithm}
                 names |= {"setting": one.curriculum, "baseline": other.curriculum}
+                if one.algorithm != other.algorithm:
+                    names |= {"algorithm": "", "setting": _whole(one), "baseline": _whole(other)}
                 table.append({**names, "seeds": " ".join(map(str, seeds)), **entry})
     return table
 
 
+def _whole(setting: Setting) -> str:
+    return f"{setting.algorithm}, {setting.curriculum}"
+
+
 def _pairs(settings: Sequence[Setting]) -> list[tuple[Setting, Setting]]:
-    """What is compared with what: everything with no masks, and with the paper's best point."""
+    """What is compared with what, and in which order."""
     return [
         (one, other)
         for one in settings
         for other in settings
-        if one.differs_in_masks_alone(other)
-        and one.masks != NO_MASKS
-        and (other.masks == NO_MASKS or (other.masks, other.c_g, other.kappa) == (CGM, 0.1, 32.0))
+        if (one.differs_in_masks_alone(other) and _is_baseline_of_masks(other, one))
+        or (one.differs_in_learning_alone(other) and _learns_as_the_paper(other))
     ]
+
+
+def _is_baseline_of_masks(baseline: Setting, setting: Setting) -> bool:
+    if setting.masks == NO_MASKS:
+        return False
+    best = (baseline.masks, baseline.c_g, baseline.kappa) == (CGM, 0.1, 32.0)
+    return baseline.masks == NO_MASKS or best or baseline == setting._replace(masks=CGM)
+
+
+def _learns_as_the_paper(setting: Setting) -> bool:
+    return setting.agent == "ddpg" and not setting.her_masks and not setting.mask_input
 
 
 def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | None:

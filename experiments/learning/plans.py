@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cgm_jax.config.components import ROOMS, component
+from cgm_jax.config.fields import declared
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.settings import FIELDS
+from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.host.command_line import chosen_values, parse, seed_values
 from cgm_jax.sweep import SweepOptions
 from experiments.learning.records import RecordedRun, recorded_runs, settings_of
@@ -19,8 +21,15 @@ Settings = Mapping[str, Any]
 
 
 class Question(NamedTuple):
-    """A question of the report: the sweeps that answer it, and the figures that show it."""
+    """A question of the report: the sweeps that answer it, and the figures that show it.
 
+    Attributes:
+        text: the question in words.
+        sweeps: names of sweeps.
+        figures: names of figures.
+    """
+
+    text: str
     sweeps: Sequence[str]
     figures: Sequence[str]
 
@@ -38,8 +47,11 @@ def read_plans(path: Path = PLANS) -> Plans:
 
     def resolved(entry: Settings) -> dict[str, Any]:
         own = dict(entry)
-        like = own.pop("like", None)
-        return {**resolved(plans["settings"][like]), **own} if like else own
+        like = own.pop("like", [])
+        inherited: dict[str, Any] = {}
+        for name in [like] if isinstance(like, str) else like:
+            inherited |= resolved(plans["settings"][name])
+        return inherited | own
 
     return Plans(
         {name: resolved(entry) for name, entry in plans["sweeps"].items()},
@@ -63,18 +75,23 @@ def options_of(settings: Settings, preset: str = PRESET) -> list[str]:
 
 
 def planned_settings(settings: Settings, preset: str = PRESET) -> list[dict[str, Any]]:
-    """All settings of each run of a planned sweep."""
+    """Settings that have an effect on each run of a planned sweep."""
     program = "python -m cgm_jax.sweep"
     parsed = parse(SweepOptions, options_of(settings, preset), program)
-    return settings_of(build_groups(preset, seed_values(parsed, chosen_values(parsed))))
+    groups = build_groups(preset, seed_values(parsed, chosen_values(parsed)))
+    return [settings_of(run) for group in groups for run in group.runs]
 
 
 def not_written_out(settings: Settings) -> set[str]:
     """Settings with a value by default that a plan leaves to presets and defaults."""
+    fields = dict(LOOP_FIELDS)
+    for kind in ROOMS:
+        chosen = settings.get(kind, [])
+        for name in [chosen] if isinstance(chosen, str) else chosen:
+            fields |= {item.name: item for item in declared(component(kind, name))}
+    by_default = {name for name, item in fields.items() if item.default is not None}
     seeds = {"seed"} if "seeds" in settings else set()
-    return {
-        name for name, item in FIELDS.items() if item.default is not None and name not in settings
-    } - seeds
+    return (by_default | set(ROOMS)) - set(settings) - seeds
 
 
 def _text(value: Any) -> str:

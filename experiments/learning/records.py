@@ -3,17 +3,17 @@
 Figures and tables are made from these records, so that they can be made again without training.
 """
 
-import dataclasses
 import json
-import shutil
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgm_jax.config.grid import Group
-from cgm_jax.config.settings import FIELDS, Settings
+from cgm_jax.config.fields import parts
+from cgm_jax.config.grid import Run, run_of
 from cgm_jax.results.statistics import holds
+from cgm_jax.storage.formats import upgraded
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory
 from experiments.learning.setting import Setting, setting_of
 from experiments.table import read_table, write_table
@@ -22,6 +22,9 @@ SWEEPS = Path(__file__).parents[1] / "results" / "sweeps"
 LEARNING = "learning.csv"
 
 Row = dict[str, Any]
+
+FOLDERS_ABOVE = re.compile(r'(?<=")/[^"]*/(?=experiments/[^"]*\.py[:"])')
+"""Where the checkout lay, in names of an environment of its own and of its file."""
 
 
 def _switch(text: str) -> bool:
@@ -37,7 +40,7 @@ def _rates(text: str) -> list[float | None]:
 
 
 COLUMNS: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(("run", "env"), str),
+    **dict.fromkeys(("run", "env", "curriculum", "agent"), str),
     **dict.fromkeys(("seed", "epoch", "env_steps", "updates"), int),
     **dict.fromkeys(("her", "cgm"), _switch),
     **dict.fromkeys(("c_g", "kappa", "wall_s", "success_rate"), _optional),
@@ -57,7 +60,7 @@ class RecordedRun:
 
     Attributes:
         sweep: the sweep that it belongs to.
-        settings: all its settings, in today's names.
+        settings: all settings that have an effect on it, in today's names.
         rows: its metrics, epoch by epoch.
         alone: whether it trained alone in its process, so that its seconds are its own.
     """
@@ -86,74 +89,81 @@ class RecordedRun:
 def record(trained: RunDirectory, sweep: str) -> None:
     """Keep the config and the rows of all runs that are done."""
     rows = trained.metrics()
+    config = trained.path / CONFIG
     done = {
-        run.name
-        for group in trained.groups()
-        for run in group.runs
-        if is_done([row for row in rows if row["run"] == run.name], group.settings)
+        name
+        for name, settings in settings_by_run(_read(config))
+        if is_done([row for row in rows if row["run"] == name], settings)
     }
     kept = [row for row in rows if row["run"] in done]
     if kept:
         columns = [name for name in COLUMNS if any(name in row for row in kept)]
         folder = SWEEPS / sweep
         folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(trained.path / CONFIG, folder / CONFIG)
+        (folder / CONFIG).write_text(FOLDERS_ABOVE.sub("", config.read_text()))
         table = [{name: _text(row.get(name)) for name in columns} for row in kept]
         write_table(folder / LEARNING, table)
 
 
-def is_done(rows: Sequence[Row], settings: Settings) -> bool:
+def is_done(rows: Sequence[Row], settings: Mapping[str, Any]) -> bool:
     """Whether a run got to its last epoch, or holds the success at which it may leave."""
     if not rows:
         return False
-    if rows[-1]["epoch"] == settings.epochs:
+    if rows[-1]["epoch"] == settings["epochs"]:
         return True
     rates = [row["success_rate"] for row in rows]
-    return settings.leave_at is not None and holds(rates, settings.leave_at)
+    return settings["leave_at"] is not None and holds(rates, settings["leave_at"])
 
 
 def recorded_config(sweep: str) -> Row | None:
     """The config of a sweep on record: what made it, on which machine; None without a record."""
     path = SWEEPS / sweep / CONFIG
-    return json.loads(path.read_text()) if path.is_file() else None
+    return _read(path) if path.is_file() else None
+
+
+def _read(path: Path) -> Row:
+    return upgraded(json.loads(path.read_text()))
 
 
 def recorded_settings(sweep: str) -> list[tuple[str, Row]]:
     """Name and settings of every run of a sweep of which there is a record, done or not."""
     config = recorded_config(sweep)
+    return settings_by_run(config) if config else []
+
+
+def settings_by_run(config: Mapping[str, Any]) -> list[tuple[str, Row]]:
+    """Name and settings of every run of a config; see `settings_from`."""
     return [
-        (run["name"], upgraded({**group["settings"], **run}))
-        for group in (config["groups"] if config else [])
+        (run["name"], settings_from({key: value for key, value in run.items() if key != "name"}))
+        for group in config["groups"]
         for run in group["runs"]
     ]
 
 
-def upgraded(settings: Mapping[str, Any]) -> Row:
-    """A recorded run's settings in today's names; those that it had not yet are at their defaults.
-
-    A setting that is renamed or replaced is translated here.
+def settings_from(values: Mapping[str, Any]) -> Row:
+    """A run's settings from values by name; those that it does not have are at their defaults.
 
     Raises:
-        ValueError: a setting that no version had.
+        SettingError: a value of no setting, or out of its range.
     """
-    recorded = {name: value for name, value in settings.items() if name != "name"}
-    if unknown := recorded.keys() - FIELDS.keys():
-        raise ValueError(f"no translation for the recorded settings {', '.join(sorted(unknown))}")
-    return {name: plain(recorded.get(name, item.default)) for name, item in FIELDS.items()}
+    widths = {"hidden_layers": tuple(values["hidden_layers"])} if "hidden_layers" in values else {}
+    return settings_of(run_of("", {**values, **widths})[1])
 
 
-def settings_of(groups: Sequence[Group]) -> list[Row]:
-    """All settings of every run of groups, as records hold them."""
-    return [
-        plain(dataclasses.asdict(group.settings) | dataclasses.asdict(run.hyper))
-        for group in groups
-        for run in group.runs
-    ]
+def settings_of(run: Run) -> Row:
+    """Settings that have an effect on a run, as JSON gives them back and any checkout has them."""
+    idle = frozenset().union(*(part.idle() for part in parts(run.hyper)))
+    values = {name: value for name, value in run.values.items() if name not in idle}
+    return json.loads(FOLDERS_ABOVE.sub("", json.dumps(values)))
 
 
-def plain(value: Any) -> Any:
-    """A value as JSON gives it back."""
-    return json.loads(json.dumps(value))
+def same_runs(one: Sequence[Row], other: Sequence[Row]) -> bool:
+    """Whether two sweeps hold the same runs, whatever their order and names."""
+    return _in_order(one) == _in_order(other)
+
+
+def _in_order(settings: Sequence[Row]) -> list[str]:
+    return sorted(json.dumps(values, sort_keys=True) for values in settings)
 
 
 def recorded_runs(sweep: str) -> list[RecordedRun]:
@@ -162,8 +172,10 @@ def recorded_runs(sweep: str) -> list[RecordedRun]:
     if not settings:
         return []
     rows: dict[str, list[Row]] = {name: [] for name, _ in settings}
+    facts = {name: _facts(values) for name, values in settings}
     for line in read_table(SWEEPS / sweep / LEARNING):
-        rows[line["run"]].append({name: COLUMNS[name](text) for name, text in line.items()})
+        row = {name: COLUMNS[name](text) for name, text in line.items()}
+        rows[line["run"]].append(row | facts[line["run"]])
     config = recorded_config(sweep) or {}
     alone = {run["name"] for g in config["groups"] if len(g["runs"]) == 1 for run in g["runs"]}
     return [
@@ -171,6 +183,15 @@ def recorded_runs(sweep: str) -> list[RecordedRun]:
         for name, values in settings
         if rows[name]
     ]
+
+
+def _facts(settings: Mapping[str, Any]) -> Row:
+    """What a row of metrics.jsonl says of its run, as the program writes it today."""
+    named = ("env", "seed", "curriculum", "agent", "c_g", "kappa", "her")
+    return {
+        **{name: settings.get(name) for name in named},
+        "cgm": settings["curriculum"] == "cgm",
+    }
 
 
 def _text(value: Any) -> Any:

@@ -51,12 +51,28 @@ def conditions() -> Table:
     return Table(header, rows)
 
 
+def planned() -> Table:
+    """Questions of which sweeps are planned and not on record, and what they would take."""
+    plans = read_plans()
+    rows = []
+    for name, question in plans.questions.items():
+        missing = [sweep for sweep in question.sweeps if not recorded_runs(sweep)]
+        if missing:
+            trained = len(question.sweeps) - len(missing)
+            of = f"{len(missing)} of {len(question.sweeps)}" if trained else "all"
+            rows.append([question.text, f"`{name}`", of])
+    return Table(
+        ["question", "name", "sweeps not trained"], rows, "All that is planned is trained."
+    )
+
+
 def differences_from_the_paper() -> Table:
     """Settings of the experiments with HER beside the paper's, where they differ."""
     columns: list[dict[str, str]] = []
     for env, sweep in (("push", "push_her_cgm"), ("pick_and_place", "pick_and_place_her_cgm")):
         paper = build_groups("paper", {"env": [env], "seed": [0], "her": [True]})
-        columns += [_described(recorded_settings(sweep)[0][1]), _described(settings_of(paper)[0])]
+        of_paper = settings_of(paper[0].runs[0])
+        columns += [_described(recorded_settings(sweep)[0][1]), _described(of_paper)]
     header = ["", "push here", "push, paper", "pick-and-place here", "pick-and-place, paper"]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
     return Table(header, [row for row in rows if row[1] != row[2] or row[3] != row[4]])
@@ -89,7 +105,7 @@ def speed(question: str) -> Table:
     for setting, seeds in runs_by_setting(runs_of(question)).items():
         runs = list(seeds.values())
         masks = setting.curriculum + _which(list(seeds))
-        row = [setting.env.replace("_", "-"), setting.algorithm, masks]
+        row = [setting.task, setting.algorithm, masks]
         for level in LEVELS:
             row += _held(runs, level)
         row.append(", ".join(_end(run) for run in runs))
@@ -150,7 +166,7 @@ def paired(question: str, level: str = "") -> Table:
             probability += f" ({low} to {high})"
         rows.append(
             [
-                entry["env"].replace("_", "-"),
+                entry["task"],
                 entry["algorithm"],
                 f"{entry['setting']} - {entry['baseline']}{_which(seeds)}",
                 percent(entry["level"]),
@@ -222,10 +238,13 @@ def moved_episodes(question: str, width: str) -> Table:
             means = window_means([run], ends, "moved_share")
             held = [env_steps_to_hold(run, level) / 1000 for level in LEVELS]
             shares = [_share(means[end]) for end in ends]
-            rows.append([setting.curriculum, str(seed), *map(_number, held), *shares])
-    header = ["masks", "seed", *(f"{percent(level)} held at" for level in LEVELS)]
+            names = [setting.task, setting.algorithm, setting.curriculum, str(seed)]
+            rows.append([*names, *map(_number, held), *shares])
+    header = ["task", "algorithm", "masks", "seed"]
+    header += [f"{percent(level)} held at" for level in LEVELS]
     header += [f"moved, {_window(end, int(width))}" for end in ends]
-    return Table(header, rows, "How many episodes moved the block is not on record yet.")
+    table = Table(header, rows, "How many episodes moved the block is not on record yet.")
+    return without_constant_columns(table, 2) if rows else table
 
 
 def _ends(runs: Runs, width: int) -> list[int]:
@@ -264,6 +283,7 @@ def calibration() -> Table:
 
 TABLES: dict[str, Callable[..., Table]] = {
     "conditions": conditions,
+    "planned": planned,
     "differences_from_the_paper": differences_from_the_paper,
     "speed": speed,
     "paired": paired,

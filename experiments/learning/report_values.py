@@ -60,6 +60,12 @@ def records_of(question: str) -> str:
     return ", ".join(sweeps) or "none yet"
 
 
+def not_trained(question: str) -> str:
+    """The sweeps of a question that are not on record."""
+    sweeps = read_plans().questions[question].sweeps
+    return ", ".join(f"`{sweep}`" for sweep in sweeps if not recorded_runs(sweep)) or "nothing"
+
+
 def held_by(sweep: str, level: str) -> str:
     """How many seeds hold a success, such as "five of five seeds"."""
     runs = only_setting(sweep)
@@ -165,6 +171,7 @@ def standard_error(episodes: str) -> str:
 
 VALUES: dict[str, Callable[..., str]] = {
     "records_of": records_of,
+    "not_trained": not_trained,
     "held_by": held_by,
     "sooner": sooner,
     "held_at": held_at,

@@ -3,6 +3,8 @@
 # pyright: reportAttributeAccessIssue=false
 
 import dataclasses
+import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -20,7 +22,9 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
-from cgm_jax.results.policies import Film, Outcome, Plan, evaluate_directory, evaluate_random
+from cgm_jax.results import policies
+from cgm_jax.results.plan import Plan
+from cgm_jax.results.policies import Film, Outcome, evaluate_directory, evaluate_random
 from cgm_jax.results.video import write_video
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
@@ -108,6 +112,51 @@ def test_random_actions_are_uniform_and_follow_the_seed() -> None:
     assert np.abs(steps.mean()) < 0.002
 
 
+def test_chunks_do_not_change_what_is_found(
+    directory: RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = Plan(episodes=50, seed=3, filmed=45)
+    whole = evaluate_directory(directory, plan)
+    told: list[tuple[int, int]] = []
+    monkeypatch.setattr(policies, "CHUNK_EPISODES", 20)
+    monkeypatch.setattr(policies, "CHUNK_ROWS", 20)  # one policy after the other
+    cut = evaluate_directory(directory, plan, progress=lambda *counts: told.append(counts))
+    assert told == [(done, 100) for done in (20, 40, 50, 70, 90, 100)]
+    assert list(whole) == list(cut)
+    for name, outcome in whole.items():
+        assert (outcome.valid, outcome.successes) == (cut[name].valid, cut[name].successes)
+        film, again = outcome.film, cut[name].film
+        assert film is not None
+        assert again is not None
+        np.testing.assert_array_equal(film.desired_goal, again.desired_goal)
+        np.testing.assert_array_equal(film.achieved, again.achieved)
+        assert film.states.sensors.shape == again.states.sensors.shape
+
+
+@pytest.mark.parametrize(("field", "value"), [("episodes", 0), ("seed", -1), ("mask", "xx")])
+def test_plans_are_checked_where_they_are_made(field: str, value: object) -> None:
+    with pytest.raises(SettingError, match=f"^{field}: "):
+        Plan(**{"episodes": 1, "seed": 0, field: value})  # pyright: ignore[reportArgumentType]
+
+
+def test_ctrl_c_ends_an_evaluation_that_shows_how_far_it_is() -> None:
+    command = [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", "reach"]
+    with subprocess.Popen(
+        [*command, "--episodes", "1000000"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    ) as process:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert re.fullmatch(r"[\d,]+ of 1,000,000 episodes\n", line)
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=5)
+    assert (process.returncode, out) == (75, "")
+    assert error.splitlines()[-1] == "stopped"
+
+
 def test_dropped_episodes_and_masks_are_said() -> None:
     env = make_environment(REACH)
     outcomes = {
@@ -182,8 +231,9 @@ def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 BAD_INPUT = {
     "": "directory: name one",
     "runs --random --env reach": "random: goes with --env, not with a directory",
-    "--random": "env: goes with --random",
-    "runs --env reach": "env: goes with --random",
+    "--random": "env: --random needs one",
+    "--random --env reach push": "env: --random needs one",
+    "nowhere --env reach": "nowhere holds no sweep",
     "--random --env slide": "env: unknown environment 'slide'",
     "--random --env reach --engine bullet": "engine: unknown engine 'bullet'",
     "--random --env reach --mask xq": "mask: 'xq' is not made of x, y and z",

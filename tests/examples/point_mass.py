@@ -25,6 +25,10 @@ class PointMass:
         position, goal = jax.random.uniform(rng, (2, 2), minval=-1.0, maxval=1.0)
         return self._state(position, jnp.zeros(2), goal)
 
+    def restart(self, state: State) -> State:
+        """Optional: an episode may begin in a state that another visited."""
+        return state
+
     def step(self, state: State, action: jax.Array) -> State:
         """Semi-implicit Euler with friction, for 0.1 s."""
         position, velocity = jnp.split(state.obs["observation"], 2)

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from cgm_jax.storage.run_directory import CONFIG
 from experiments import run
 from experiments.learning import records
 from experiments.learning.plans import read_plans, runs_of
 from experiments.markdown import Table, counted, markdown, percent, without_constant_columns
-from experiments.report import README, TABLE, VALUE, regenerated
+from experiments.report import README, SCREENS_OF_QUESTIONS, TABLE, VALUE, answered, regenerated
 from experiments.run import tables_of
 from experiments.table import read_table, write_table
+
+SWEEPS = records.SWEEPS
 
 # Numbers that sentences may state without a record: they describe settings, levels and definitions,
 # or are printed in the paper.
@@ -36,7 +39,7 @@ def test_tables_and_numbers_are_those_of_the_records() -> None:
 @pytest.mark.parametrize("question", read_plans().questions)
 def test_tables_of_questions_are_those_of_the_records(question: str, tmp_path: Path) -> None:
     runs = runs_of(question)
-    for name, rows in (tables_of(runs) if runs else {}).items():
+    for name, rows in (tables_of(runs) if answered(question) else {}).items():
         write_table(tmp_path / name, rows)
         assert read_table(run.RESULTS / question / name) == read_table(tmp_path / name)
 
@@ -59,13 +62,49 @@ def test_another_record_makes_another_report(
     assert "| 180, 320, 180, 220, 160 |" in after
 
 
-def test_numbers_in_sentences_come_from_records_or_are_settings() -> None:
-    text = VALUE.sub("", TABLE.sub("", README.read_text()))
+SCREENS_ON_FILE = sorted(SCREENS_OF_QUESTIONS.glob("*.md"))
+
+
+@pytest.mark.parametrize("path", [README, *SCREENS_ON_FILE], ids=lambda path: path.stem)
+def test_numbers_in_sentences_come_from_records_or_are_settings(path: Path) -> None:
+    text = VALUE.sub("", TABLE.sub("", path.read_text()))
     text = re.sub(r"`[^`]*`|\]\([^)]*\)|^    .*$", "", text, flags=re.MULTILINE)  # code, links
     text = re.sub(r"Fig\. \d|C51|x64|v\d", "", text)
     numbers = re.findall(r"(?<![\w.])\d[\d,]*(?:\.\d+)*", text)
     unknown = {number.rstrip(",") for number in numbers} - STATED
     assert not unknown, "state them in a table or as a value, or add what is a setting to STATED"
+
+
+@pytest.mark.parametrize("path", SCREENS_ON_FILE, ids=lambda path: path.stem)
+def test_a_screen_is_understood_before_there_is_a_record(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(records, "SWEEPS", tmp_path)
+    assert path.stem in read_plans().questions
+    assert "Nothing is on record yet." in regenerated(path.read_text())
+
+
+def test_a_question_has_its_screen_once_a_sweep_of_its_own_is_on_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(records, "SWEEPS", tmp_path)
+    text = "<!-- screens -->\n<!-- end of screens -->\n"
+    heading = f"## {read_plans().questions['networks_see'].text}"
+    first = Path(
+        shutil.copytree(SWEEPS / "pick_and_place_her_cgm", tmp_path / "pick_and_place_her_cgm")
+    )
+    assert heading not in regenerated(text)  # this sweep is another question's too
+    shutil.copytree(first, tmp_path / "pick_and_place_mask_input")
+    config = tmp_path / "pick_and_place_mask_input" / CONFIG
+    changed = config.read_text().replace('"seed": ', '"mask_input": true, "seed": ')
+    config.write_text(changed)
+    written = regenerated(text)
+    assert written.count(heading) == 1
+    assert "| DDPG + HER (mask as input) | 500, 520, 440, 620, 500 |" in written
+    assert (
+        "`pick_and_place_her_masks`, `pick_and_place_mask_input_her_masks`<!-- end -->" in written
+    )
+    assert regenerated(written) == written
 
 
 def test_a_marker_that_nobody_understands_is_named() -> None:
@@ -95,6 +134,8 @@ def test_the_program_refuses_what_it_cannot_do(
         (["--report", "push"], "name questions"),
         (["moon"], "no question 'moon'"),
         (["push", "--at-once", "0"], "--at-once"),
+        (["push", "--only", "quick"], "'quick' is no sweep of theirs"),
+        (["push", "--train", "--draw"], "not allowed with"),
     ):
         monkeypatch.setattr(sys, "argv", ["run", *arguments])
         with pytest.raises(SystemExit) as end:
@@ -128,6 +169,20 @@ def test_a_question_is_drawn_from_its_record(
     written = {path.name for path in (tmp_path / "results" / "reach").iterdir()}
     assert written == {"speed.csv", "learning_curves.png"}
     assert "0.25" in (tmp_path / "README.md").read_text()
+
+
+def test_some_sweeps_of_a_question_are_trained_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_for = {}
+    monkeypatch.setattr(run, "train", lambda sweeps, *_: asked_for.update(sweeps))
+    monkeypatch.setattr(run, "README", tmp_path / "README.md")
+    options = ["curricula", "--train", "--only", "push_by_vds", "push_by_full"]
+    monkeypatch.setattr(sys, "argv", ["run", *options])
+    run.main()
+    assert list(asked_for) == ["push_by_vds", "push_by_full"]
+    assert "--curriculum vds" in " ".join(asked_for["push_by_vds"])
+    assert not (tmp_path / "README.md").exists()
 
 
 def test_a_record_of_other_runs_than_planned_is_refused() -> None:

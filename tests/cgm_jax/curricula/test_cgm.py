@@ -42,7 +42,7 @@ def test_a_share_of_full_goals_is_forced_and_the_rest_drawn_as_before() -> None:
 
 
 def test_settings_are_leaves_where_traced_and_structure_where_static() -> None:
-    assert len(jax.tree.leaves(CGM())) == 4
+    assert len(jax.tree.leaves(CGM())) == 3
     one, other = (jax.tree.structure(CGM(success_history=h)) for h in (10, 50))
     assert one != other
     assert jax.tree.structure(CGM(c_g=0.3)) == one

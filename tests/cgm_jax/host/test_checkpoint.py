@@ -1,14 +1,18 @@
 import dataclasses
+import errno
 import hashlib
 import json
+import os
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 
 from cgm_jax.config.fields import SettingError, stack
+from cgm_jax.host import checkpoint
 from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
@@ -168,14 +172,20 @@ def test_a_forged_checkpoint_is_refused_and_runs_no_code(
         load_checkpoint(tmp_path, 0, LIKE)
 
 
+def write_to_a_full_disk(file: Any, arrays: Any) -> None:
+    file.write(b"as much as there is room for")
+    del arrays
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(
-    tmp_path: Path, state: TrainingState
+    tmp_path: Path, state: TrainingState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save(tmp_path, state, epoch=1)
     before = sorted(tmp_path.iterdir())
-    full = tmp_path / "group0_epoch000002_cycle000000.npz.partial"
-    full.symlink_to("/dev/full")
+    monkeypatch.setattr(checkpoint, "write_arrays", write_to_a_full_disk)
     with pytest.raises(OSError, match="No space left on device"):
         save(tmp_path, state, epoch=2)
+    monkeypatch.undo()
     assert sorted(tmp_path.iterdir()) == before
     assert load(tmp_path)[0].epoch == 1

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgm_jax.host.command_line import _layers
 from tests.cgm_jax.sweeps import ROOT
 
 SMOKE = ["--preset", "smoke", "--engine", "native"]
@@ -30,10 +31,10 @@ def run(program: str, *arguments: str, cwd: Path = ROOT) -> subprocess.Completed
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A smoke sweep over c_g and CGM on and off."""
     out = tmp_path_factory.mktemp("sweep") / "out"
-    grid = ["--c-g", "0.1", "0.6", "--kappa", "4", "--cgm", "on", "off", "--seeds", "1"]
+    grid = ["--c-g", "0.1", "0.6", "--kappa", "4", "--curriculum", "cgm", "full", "--seeds", "1"]
     result = run("sweep", *SMOKE, *grid, "--out", str(out))
     assert result.returncode == 0, result.stderr
-    assert "3 runs take" in result.stderr  # how much memory it takes, said beforehand
+    assert "2 runs take" in result.stderr  # how much memory a program takes, said beforehand
     assert "epoch 2:" in result.stderr
     return out
 
@@ -43,9 +44,9 @@ def test_a_sweep_writes_one_line_per_run_and_epoch(sweep: Path) -> None:
     assert sorted((row["run"], row["epoch"]) for row in rows) == sorted(
         (name, epoch)
         for name in (
-            "reach_her_cgm-cg0.1-kappa4_seed0",
-            "reach_her_cgm-cg0.6-kappa4_seed0",
-            "reach_her_full_seed0",
+            "reach_ddpg-her_cgm-cg0.1-kappa4_seed0",
+            "reach_ddpg-her_cgm-cg0.6-kappa4_seed0",
+            "reach_ddpg-her_full_seed0",
         )
         for epoch in (1, 2)
     )
@@ -59,9 +60,12 @@ def test_a_sweep_writes_one_line_per_run_and_epoch(sweep: Path) -> None:
         assert row["wall_s"] > 0
         assert 0 <= row["success_rate"] <= 1
         assert len(row["subgoal_success"]) == 3
-        for name in ("mask_rate_estimated", "mask_rate_training", "mask_probability"):
-            assert len(row[name]) == 8
-        assert sum(row["mask_probability"]) == pytest.approx(1, abs=1e-4)
+        assert row["curriculum"] == ("cgm" if row["cgm"] else "full")
+        assert len(row["mask_rate_training"]) == len(row["mask_share"]) == 8
+        assert 0 <= row["moved_share"] <= 1
+        for name in ("mask_rate_estimated", "mask_probability"):
+            assert len(row[name]) == 8 if row["cgm"] else row[name] is None
+        assert not row["cgm"] or sum(row["mask_probability"]) == pytest.approx(1, abs=1e-4)
     full = next(row for row in rows if not row["cgm"])
     assert full["mask_rate_training"][:7] == [None] * 7
     first = next(row for row in rows if row["c_g"] == 0.6 and row["cgm"] and row["epoch"] == 1)
@@ -70,17 +74,18 @@ def test_a_sweep_writes_one_line_per_run_and_epoch(sweep: Path) -> None:
 
 def test_a_sweep_writes_its_config_policies_figures_and_checkpoint(sweep: Path) -> None:
     config = json.loads((sweep / "config.json").read_text())
-    (group,) = config["groups"]
-    assert group["settings"]["env"] == "reach"
-    assert len(group["runs"]) == 3
+    runs = [run for group in config["groups"] for run in group["runs"]]
+    assert [run["curriculum"] for run in runs] == ["cgm", "cgm", "full"]
+    assert {run["env"] for run in runs} == {"reach"}
     assert config["versions"]["mujoco"] == config["versions"]["mujoco-mjx"] == "3.17.0"
-    for entry in group["runs"]:
+    for entry in runs:
         assert (sweep / "policies" / f"{entry['name']}.npz").is_file()
     for figure in ("learning_curves", "epochs_to_half", "mask_success"):
         header = (sweep / "figures" / f"{figure}.png").read_bytes()[:8]
         assert header == b"\x89PNG\r\n\x1a\n"
-    (checkpoint,) = (sweep / "checkpoints").glob("*.npz")
-    assert checkpoint.with_suffix(".json").is_file()
+    checkpoints = list((sweep / "checkpoints").glob("*.npz"))
+    assert len(checkpoints) == 2  # one per program
+    assert all(path.with_suffix(".json").is_file() for path in checkpoints)
 
 
 def test_a_directory_that_holds_a_sweep_is_refused_and_left_alone(sweep: Path) -> None:
@@ -140,7 +145,7 @@ def test_train_learns_on_an_environment_from_the_users_own_file(tmp_path: Path) 
 
 BAD_INPUT = {
     "--env slide": "env: unknown environment 'slide'",
-    "--env nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:FACTORY",
+    "--env nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:NAME",
     "--env push --air-probability 0.5": "air_probability: the object of push",
     "--engine bullet": "engine: unknown engine 'bullet'",
     "--c-g": "c_g: needs at least one value",
@@ -149,12 +154,15 @@ BAD_INPUT = {
     "--kappa nan": "kappa: nan is not a finite number",
     "--seeds 0": "seeds: 0 is not within",
     "--seeds 2 --seed 1": "seeds: give either",
-    "--batch-size 32 64": "batch_size: is static",
-    "--hidden-layers 32 --batch-size 32 64": "batch_size: is static",
+    "--curriculum nothing": "curriculum: unknown curriculum 'nothing'; choose from",
+    "--agent nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:NAME",
+    "--curriculum full --c-g 0.5": "c_g: is no setting of curriculum full",
+    "--set gain": "set: 'gain' is not NAME=VALUE",
+    "--set gain=3": "gain: is no setting of curriculum cgm",
     "--colour red": "--colour",
     "--preset huge": "preset: unknown",
     "--her maybe": "--her",
-    "--hidden-layers 64.5": "--hidden-layers: not understood: ['64.5']",
+    "--hidden-layers 64.5": "hidden_layers: '64.5' is neither widths (256 256) nor several",
     "--out /proc/nowhere": "out: cannot write to /proc/nowhere",
 }
 
@@ -187,13 +195,9 @@ def test_train_refuses_a_grid() -> None:
     ]
 
 
-def test_settings_are_checked_without_importing_jax() -> None:
-    program = (
-        "import sys; from cgm_jax.sweep import SweepOptions; from cgm_jax.train import main;"
-        "assert 'jax' not in sys.modules"
-    )
-    result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False)
-    assert result.returncode == 0
+def test_layers_are_one_value_or_several() -> None:
+    assert _layers(["256", "128"]) == [(256, 128)]
+    assert _layers(["64x64", "128"]) == [(64, 64), (128,)]
 
 
 def test_the_line_is_the_same_where_output_is_plain_ascii() -> None:

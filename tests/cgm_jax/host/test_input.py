@@ -156,9 +156,15 @@ def test_60_generated_command_lines(
         assert text.count("\n") == 1
         given = [*names, *(word for word in arguments if not word.startswith("--"))]
         # Long words are wrapped, and line ends in words become spaces.
-        message, *shown = ("".join(word.replace("-", "_").split()) for word in (text, *given))
+        message, *shown = (_on_one_line(word) for word in (text, *given))
         assert "" in arguments or any(word in message for word in shown if word), (arguments, text)
     assert 2 < valid < 58
+
+
+def _on_one_line(text: str) -> str:
+    """As messages show it, but for spaces."""
+    shown = "".join(text.replace("-", "_").split())
+    return "".join(letter if letter.isprintable() else "?" for letter in shown)
 
 
 def _spelled(value: Any) -> str:

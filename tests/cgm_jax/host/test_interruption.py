@@ -7,10 +7,13 @@ import time
 
 import pytest
 
+from tests.cgm_jax.sweeps import ROOT
+
 PROGRAM = """
-import hashlib, time
+import hashlib, signal, time
 from cgm_jax.host.interruption import Interruption
-with Interruption(patience={patience}) as interruption:
+{before}
+with Interruption(patience={patience}, ends_process={ends_process}) as interruption:
     interruption.expendable = {expendable}
     print("ready", flush=True)
     {work}
@@ -19,15 +22,33 @@ print("saved", interruption.requested, flush=True)
 # One call into C that no Python signal handler can interrupt, as a chunk of training is.
 LONG_CALL = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
 SHORT_CALLS = "while not interruption.requested: time.sleep(0.01)"
+SAVING = f"{SHORT_CALLS}\n    time.sleep(1.5)"
+WARNINGS = [signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2]
+STOPPING = "stopping after the running chunk; a second Ctrl-C: at once\n"
 
 
 def signalled(
-    work: str, *numbers: int, patience: float = 8.0, expendable: bool = False
+    work: str,
+    *numbers: int,
+    patience: float = 8.0,
+    expendable: bool = False,
+    ends_process: bool = True,
+    before: str = "",
 ) -> tuple[int, str, str, float]:
     """Exit code, stdout, stderr, and seconds from the first signal to the end."""
-    program = PROGRAM.format(work=work, patience=patience, expendable=expendable)
+    program = PROGRAM.format(
+        work=work,
+        patience=patience,
+        expendable=expendable,
+        ends_process=ends_process,
+        before=before,
+    )
     with subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -40,11 +61,23 @@ def signalled(
         return process.returncode, out, error, time.monotonic() - began
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, *WARNINGS])
 def test_a_signal_asks_the_loop_to_stop_and_save(number: int) -> None:
     code, out, error, _ = signalled(SHORT_CALLS, number)
     assert (code, out) == (0, "saved True\n")
-    assert error == "stopping after the running chunk; once more: at once\n"
+    assert error == STOPPING
+
+
+def test_warnings_of_batch_systems_do_not_cut_the_patience() -> None:
+    numbers = (signal.SIGUSR1, signal.SIGTERM, signal.SIGTERM, signal.SIGINT)
+    code, out, error, _ = signalled(SAVING, *numbers)
+    assert (code, out, error) == (0, "saved True\n", STOPPING)
+
+
+def test_what_the_starter_ignores_stays_ignored() -> None:  # as nohup does
+    ignore = "signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    code, out, error, _ = signalled("time.sleep(1)", signal.SIGHUP, before=ignore)
+    assert (code, out, error) == (0, "saved False\n", "")
 
 
 def test_work_that_takes_too_long_is_ended() -> None:
@@ -54,7 +87,7 @@ def test_work_that_takes_too_long_is_ended() -> None:
     assert 1.0 <= seconds < 8.0
 
 
-def test_a_second_signal_ends_at_once() -> None:
+def test_a_second_ctrl_c_ends_at_once() -> None:
     code, out, _, seconds = signalled(LONG_CALL, signal.SIGINT, signal.SIGINT)
     assert (code, out) == (75, "")
     assert seconds < 7.0
@@ -64,6 +97,18 @@ def test_with_nothing_to_lose_the_first_signal_ends_at_once() -> None:
     code, out, _, seconds = signalled(LONG_CALL, signal.SIGTERM, expendable=True)
     assert (code, out) == (75, "")
     assert seconds < 7.0
+
+
+def test_inside_somebody_elses_program_nothing_is_ended() -> None:
+    code, out, error, _ = signalled(
+        SAVING, signal.SIGTERM, signal.SIGTERM, patience=0.1, expendable=True, ends_process=False
+    )
+    assert (code, out, error) == (0, "saved True\n", "")
+    code, out, error, _ = signalled(
+        "time.sleep(60)", signal.SIGINT, expendable=True, ends_process=False
+    )
+    assert error.endswith("KeyboardInterrupt\n")
+    assert (code, out) == (-signal.SIGINT, "")
 
 
 def test_without_a_signal_nothing_happens() -> None:

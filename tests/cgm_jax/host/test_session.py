@@ -3,14 +3,19 @@
 The programs compile once for all tests; processes of their own are in test_resume.py.
 """
 
+import asyncio
 import contextlib
 import dataclasses
 import functools
+import io
 import json
 import os
+import re
 import resource
 import shutil
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -31,7 +36,7 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.host import recorder, runner, session
 from cgm_jax.host.checkpoint import Standing
 from cgm_jax.results import figures
-from cgm_jax.storage.lock import locked
+from cgm_jax.storage.lock import InUseError, locked
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
 from tests.examples.point_mass import PointMass
 
@@ -112,7 +117,8 @@ def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
     monkeypatch.setattr(figures, "draw_figures", DRAW_FIGURES)
     stop_at_epoch(monkeypatch, 2, out)
     monkeypatch.setattr(figures, "draw_figures", lambda _: None)
-    assert f"stopped; to go on: python -m cgm_jax.sweep --resume {out}" in capsys.readouterr().err
+    command = f"{sys.executable} -m cgm_jax.sweep --resume {out}"
+    assert f"stopped; to go on: {command}" in capsys.readouterr().err
     assert len(rows(out)) == 2 * RUNS
     assert (out / "figures" / "learning_curves.png").is_file()
     assert train(out) == 0
@@ -122,6 +128,23 @@ def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
     assert sweep.main(["--resume", str(out)]) == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "checkpoints").iterdir()} == before
     assert_same_results(whole, out)
+
+
+def test_main_trains_in_a_thread_and_inside_a_running_event_loop(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    codes: list[int] = []
+    thread = threading.Thread(target=lambda: codes.append(train(tmp_path / "thread")))
+    thread.start()
+    thread.join()
+
+    async def cell() -> int:  # as a notebook runs one, whose streams have no file
+        monkeypatch.setattr(sys, "stderr", io.StringIO())
+        return train(tmp_path / "notebook")
+
+    assert [*codes, asyncio.run(cell())] == [0, 0]
+    assert_same_results(whole, tmp_path / "thread")
+    assert_same_results(whole, tmp_path / "notebook")
 
 
 def test_one_at_a_time_runs_leave_once_they_hold_the_success_and_stay_away(tmp_path: Path) -> None:
@@ -206,13 +229,50 @@ def test_a_damaged_checkpoint_is_named_and_the_sweep_goes_on_from_the_one_before
     assert_same_results(whole, out)
 
 
-def test_without_any_checkpoint_the_group_begins_again(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_any_checkpoint_the_group_begins_anew_and_says_so_and_keeps_old_metrics(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    stop_at_epoch(monkeypatch, 2, out)
-    shutil.rmtree(out / "checkpoints")
+    metrics, kept = out / "metrics.jsonl", []
+    for number in (1, 2):
+        stop_at_epoch(monkeypatch, 2, out)
+        shutil.rmtree(out / "checkpoints")
+        kept.append(metrics.read_bytes())
+        assert len(kept[-1].splitlines()) == 2 * RUNS
+        stop_at_epoch(monkeypatch, 1, out)
+        aside = f"no checkpoint of group 0: it begins anew, and .* kept as {metrics}.{number}\n"
+        assert re.search(aside, capsys.readouterr().err)
+        shutil.rmtree(out / "checkpoints")
+        metrics.write_bytes(b"")
     assert train(out) == 0
+    assert "no checkpoint of group 0: it begins anew\n" in capsys.readouterr().err
+    assert [Path(f"{metrics}.{number}").read_bytes() for number in (1, 2)] == kept
+    assert_same_results(whole, out)
+
+
+@pytest.mark.parametrize("damage", ["cut", "deleted"])
+def test_a_damaged_config_comes_back_from_a_checkpoint(
+    damage: str,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out, *ALWAYS)
+    config = out / "config.json"
+    content = config.read_bytes()
+    last = max((out / "checkpoints").glob("*.npz"))
+    last.write_bytes(last.read_bytes()[:-1])  # so that the one before must serve
+    if damage == "cut":
+        config.write_bytes(content[:100])
+    else:
+        config.unlink()
+    assert sweep.main(["--resume", str(out)]) == 0
+    text = capsys.readouterr().err
+    assert f"{config} was {'damaged' if damage == 'cut' else 'missing'}" in text
+    assert "restored from " in text
+    assert config.read_bytes() == content
     assert_same_results(whole, out)
 
 
@@ -315,14 +375,18 @@ def test_a_mujoco_error_in_the_callback_ends_with_its_message_and_can_go_on(
     error, advice = capsys.readouterr().err.splitlines()[-2:]
     assert error.startswith('error: FatalError: mj_stackAlloc: out of memory (File "')
     assert error.endswith(", in _advance)")
-    assert advice == f"to go on: python -m cgm_jax.sweep --resume {out}"
+    assert advice == f"to go on: {sys.executable} -m cgm_jax.sweep --resume {out}"
     assert train(out) == 0
     assert_same_results(whole, out)
 
 
 def test_a_directory_in_use_is_refused_and_left_alone(whole: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != "lock"}
-    with locked(whole / "lock"), pytest.raises(SettingError, match=r"out: .* is in use by process"):
+    before = {
+        path: path.stat().st_mtime_ns
+        for path in whole.rglob("*")
+        if path.name not in ("lock", "holder")
+    }
+    with locked(whole), pytest.raises(InUseError, match=f"{whole} is in use by .*process"):
         train(whole)
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
@@ -348,7 +412,8 @@ def test_another_sweep_in_the_same_directory_is_refused(
         ("", "config.json is damaged: JSONDecodeError"),
         ("[" * 100_000, "config.json is damaged"),
         ("{}", "config.json is damaged: KeyError: 'groups'"),
-        ('{"groups": [{"settings": {"hidden_layers": 3}}]}', "config.json is damaged: TypeError"),
+        ('{"groups": [{"settings": {"epochs": 3}}]}', "config.json is damaged: KeyError: 'runs'"),
+        ('{"format": 99, "groups": []}', "config.json is damaged: format: 99 is none that this"),
         ('{"groups": []}', "config.json is damaged"),
     ],
 )
@@ -363,7 +428,7 @@ def test_a_config_with_a_value_of_the_wrong_type_is_refused(
     field: str, value: Any, whole: Path, tmp_path: Path
 ) -> None:
     config = json.loads((whole / "config.json").read_text())
-    config["groups"][0]["settings"][field] = value
+    config["groups"][0]["runs"][0][field] = value
     (tmp_path / "config.json").write_text(json.dumps(config))
     with pytest.raises(SettingError, match=f"config.json is damaged: {field}: "):
         sweep.main(["--resume", str(tmp_path)])
@@ -375,7 +440,7 @@ def test_runs_that_diverge_are_named_and_marked_while_the_others_go_on(
     out, grid = tmp_path / "out", ["--kappa", "4", "--critic-learning-rate", "1e-3", "1e30"]
     assert train(out, *grid) == 3
     captured = capsys.readouterr()
-    bad = "point_mass-PointMass_her_cgm-cg0.1-kappa4_criticlearningrate1e+30_seed0"
+    bad = "point_mass-PointMass_ddpg-her_cgm-cg0.1-kappa4_criticlearningrate1e+30_seed0"
     reason = "critic not finite or beyond 1e+09"
     for row in rows(out):
         failed = (1, row["failure"]) if row["run"] == bad else (None, None)

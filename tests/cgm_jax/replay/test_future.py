@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.replay.future import LEAST_MOTION, Future
+from cgm_jax.replay.future import MIN_MOTION, Future
 from cgm_jax.replay.protocol import Transitions
 from cgm_jax.replay.ring import Episodes, Replay, empty_replay, insert
 
@@ -140,7 +140,7 @@ def draw_filtered(moved: list[bool], k: float) -> tuple[np.ndarray, np.ndarray]:
     """
     _, episodes = make_replay()
     achieved = np.zeros((EPISODES, LENGTH + 1, GOAL), np.float32)
-    achieved[:, 4, 1] = LEAST_MOTION * THRESHOLD * np.where(moved, 1.01, 0.99)
+    achieved[:, 4, 1] = MIN_MOTION * THRESHOLD * np.where(moved, 1.01, 0.99)
     episodes = episodes.replace(
         achieved_goal=jnp.asarray(achieved),
         desired_goal=jnp.full((EPISODES, GOAL), 9.0),

@@ -7,12 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.normaliser import network_input
-from cgm_jax.loop.training import Trainer
 from cgm_jax.storage.policies import act, load_policy, policy_arrays
-from tests.cgm_jax.probe import TINY
-from tests.examples.point_mass import PointMass
+from tests.cgm_jax.agents.trained import AGENTS, trained
+from tests.cgm_jax.probe import tiny
 
 
 def readme_policy(path: Path, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -24,20 +22,20 @@ def readme_policy(path: Path, observation: np.ndarray, goal: np.ndarray) -> np.n
     return namespace["act"](observation, goal)  # pyright: ignore[reportCallIssue]
 
 
+@pytest.mark.parametrize("name", AGENTS)
 def test_a_policy_file_acts_as_the_trained_actor_does_in_jax_and_in_ten_lines_of_numpy(
-    tmp_path: Path,
+    name: str, tmp_path: Path
 ) -> None:
-    trainer, hyper = Trainer(PointMass(), TINY), Hyperparameters()
-    state = jax.jit(trainer.train_cycles)(trainer.initial_state(hyper), hyper, 3)
+    agent, state = tiny(agent=name).agent, jax.tree.map(lambda leaf: leaf[0], trained(name).second)
     path = tmp_path / "policy.npz"
-    np.savez(path, **policy_arrays(state.agent.actor, state.normaliser))  # pyright: ignore
+    np.savez(path, **policy_arrays(agent.actor(state.agent), state.normaliser))  # pyright: ignore
 
     generator = np.random.default_rng(0)
     observation = generator.uniform(-2, 2, (20, 4)).astype(np.float32)
     observation[0] = 1e4  # the limit is at work
     goal = generator.uniform(-1, 1, (20, 2)).astype(np.float32)
     inputs = network_input(state.normaliser, jnp.asarray(observation), jnp.asarray(goal))
-    expected = np.asarray(trainer.ddpg.act(state.agent.actor, inputs))
+    expected = np.asarray(agent.act(state.agent, inputs))
     assert np.abs(expected).max() > 0.01
 
     arrays = load_policy(path)
@@ -52,8 +50,8 @@ def test_the_readmes_library_example_trains() -> None:
     readme = (Path(__file__).parents[3] / "README.md").read_text()
     namespace: dict[str, Any] = {}
     exec(readme.split("<!-- library -->\n```python\n")[1].split("```")[0], namespace)
-    assert namespace["metrics"]["mask_probability"].shape == (4,)
-    assert int(namespace["state"].env_steps) == 10 * 16 * 25
+    assert namespace["metrics"]["mask_probability"].shape == (8,)
+    assert int(namespace["state"].env_steps) == 10 * 16 * 50
 
 
 GOOD = {
@@ -72,8 +70,19 @@ BAD = {
     "lacks layer_1_bias": {"layer_1_bias": None},
     "lacks goal_std": {"goal_std": None},
     "layer 1 has shape": {"layer_1_kernel": np.zeros((5, 2))},
-    "layer 0 has shape": {"observation_mean": np.ones(7)},
+    "layer 0 has shape": {"layer_0_kernel": np.zeros((7, 4))},
     "goal_mean holds no real numbers": {"goal_mean": np.array(["a"])},
+    "goal_std holds numbers that are not above 0": {"goal_std": np.zeros(1)},
+    "goal_std has shape": {"goal_std": np.ones(2)},
+    "observation_std has shape": {"observation_mean": np.ones((1, 2))},
+    "layer_1_kernel holds numbers that are not finite": {"layer_1_kernel": np.full((4, 2), np.nan)},
+    "layer_0_bias holds numbers that are not finite": {"layer_0_bias": np.full(4, 1e300)},
+    "goal_mean holds numbers that are not finite": {"goal_mean": np.array([np.inf])},
+    "normalised_limit is not one number above 0": {"normalised_limit": np.array(-1.0)},
+    "raw_limit is not one number above 0": {"raw_limit": np.ones(2)},
+    "mask_weights do not have shape": {"mask_weights": np.ones((2, 4))},
+    "a newer format, 'of several numbers'": {"format": np.ones(2)},
+    "a newer format, 'two'": {"format": np.array("two")},
 }
 
 
@@ -86,8 +95,26 @@ def test_a_malformed_policy_is_refused_with_its_reason(complaint: str, tmp_path:
         name: array for name, array in {**GOOD, **BAD[complaint]}.items() if array is not None
     }
     np.savez(path, **arrays)  # pyright: ignore
-    with pytest.raises(ValueError, match=complaint):
+    with pytest.raises(ValueError, match=f"^{path}: .*{complaint}"):
         load_policy(path)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "complaint"),
+    [
+        ((3, 1, 2), "made for observations of size 2, not 3"),
+        ((2, 3, 2), "made for goals of size 1, not 3"),
+        ((2, 1, 4), "made for actions of size 2, not 4"),
+    ],
+)
+def test_a_policy_of_another_environment_is_refused(
+    sizes: tuple[int, int, int], complaint: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "policy.npz"
+    np.savez(path, **GOOD)  # pyright: ignore
+    assert set(load_policy(path, 2, 1, 2)) == set(GOOD)
+    with pytest.raises(ValueError, match=f"^{path}: {complaint}"):
+        load_policy(path, *sizes)
 
 
 def test_a_policy_of_the_first_format_is_read_and_its_raw_values_clipped(tmp_path: Path) -> None:

@@ -1,12 +1,18 @@
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
+from cgm_jax.config.named import load_named, name_now
+from cgm_jax.storage.files import PARTIAL, replacing
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory
 from tests.cgm_jax.sweeps import ROOT
 
@@ -37,15 +43,198 @@ with RunDirectory.claimed(pathlib.Path(sys.argv[1]), fresh=True) as directory:
     assert machine.endswith(", 1 cores" if there == 1 else f", 1 of {there} cores")
 
 
-def test_what_has_changed_since_a_sweep_was_begun_is_named(tmp_path: Path) -> None:
+def test_what_has_changed_since_a_sweep_was_begun_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups = build_groups("smoke", {})
+    with RunDirectory.claimed(tmp_path, fresh=True) as directory:
+        directory.write_config(groups, "smoke", "1 x cpu")
+    assert directory.changes_since_begun("1 x cpu", groups, {}) == []
+    config = json.loads((tmp_path / CONFIG).read_text())
+    then = {
+        "python": "2.7",
+        "commit": "0123\x1b[31m",  # could colour a terminal
+        "flags": "--xla_fast",
+        "machine": "another",
+        "variables": {"JAX_THEN": "1"},
+    }
+    config = {**config, **then, "versions": {**config["versions"], "jax": "0.0.1"}}
+    now = json.loads((tmp_path / CONFIG).read_text())
+    (tmp_path / CONFIG).write_text(json.dumps(config))
+    for name in os.environ:
+        if name.startswith("JAX_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("JAX_NOW", "x")
+    changes = directory.changes_since_begun("8 x gpu", groups, {})
+    assert changes == [
+        f"jax 0.0.1 (now {now['versions']['jax']})",
+        "JAX_NOW none (now x)",
+        "JAX_THEN 1 (now none)",
+        f"Python 2.7 (now {now['python']})",
+        f"commit 0123?[31m (now {now['commit'] or 'none'})",
+        "device 1 x cpu (now 8 x gpu)",
+        f"XLA_FLAGS --xla_fast (now {now['flags'] or 'none'})",
+        f"another (now {now['machine']})",
+    ]
+    directory.record_resumption(changes, {})
+    assert json.loads((tmp_path / CONFIG).read_text())["resumed"][0]["changed"] == changes
+
+
+def own_sweep(tmp_path: Path) -> tuple[Path, RunDirectory]:
+    """A sweep on an environment of one's own, with a neighbour, both of which have run."""
+    file = tmp_path / "mine" / "env.py"
+    file.parent.mkdir()
+    file.write_text("import beside\ndef Make(): return beside\n")
+    (file.parent / "beside.py").write_text("X = 1\n")
+    groups = build_groups("smoke", {"env": [f"{file}:Make"]})
+    name_now(f"{file}:Make")
+    load_named("env", f"{file}:Make")
+    with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
+        directory.write_config(groups, "smoke", "cpu")
+    return file, directory
+
+
+def test_a_file_of_ones_own_that_has_changed_is_named(tmp_path: Path) -> None:
+    file, directory = own_sweep(tmp_path)
+    groups = directory.groups()
+    assert directory.changes_since_begun("cpu", groups, {}) == []
+    recorded = json.loads((directory.path / CONFIG).read_text())["files"]
+    assert sorted(recorded) == [str(file.parent / "beside.py"), str(file)]
+    (file.parent / "beside.py").write_text("X = 2\n")
+    (change,) = directory.changes_since_begun("cpu", groups, {})
+    assert change.startswith(f"{file.parent / 'beside.py'} with SHA-256 ")
+
+
+def test_a_file_of_ones_own_that_has_moved_is_named_again(tmp_path: Path) -> None:
+    file, directory = own_sweep(tmp_path)
+    old, new = f"{file}:Make", f"{tmp_path / 'moved' / 'other.py'}:Make"
+    file.parent.rename(tmp_path / "moved")
+    (tmp_path / "moved" / "env.py").rename(tmp_path / "moved" / "other.py")
+    with pytest.raises(SettingError, match="if it has moved, name it: --env"):
+        directory.groups()
+    moved = directory.moved({"env": [new], "curriculum": []})
+    assert moved == {old: new}
+    name_now(new)
+    groups = directory.groups(moved)
+    assert groups[0].settings.env == new
+    load_named("env", new)
+    changes = directory.changes_since_begun("cpu", groups, moved)
+    assert changes == [f"{old} (now {new})"]
+    directory.record_resumption(changes, moved)
+    assert directory.moved({"env": [new]}) == {}
+    assert directory.changes_since_begun("cpu", directory.groups(), {}) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"), [("env", "/x/y.py:Other"), ("env", "push"), ("agent", "/x/y.py:Make")]
+)
+def test_what_a_sweep_was_not_trained_with_cannot_be_named(
+    kind: str, text: str, tmp_path: Path
+) -> None:
+    _, directory = own_sweep(tmp_path)
+    with pytest.raises(SettingError, match=f"^{kind}: .* was trained with .*, not {text}$"):
+        directory.moved({kind: [text]})
+
+
+NAMES = [
+    *("../../../escape", "/escape", "a/b", "a\\b", "a\0b", "a\nb", "", "x" * 300, "\ud800"),
+    *("\x1b[31m", 5, None, ["a"], {"a": 1}),
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_of_runs_never_leave_the_directory(name: Any, tmp_path: Path) -> None:
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
         directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
-    assert directory.changes_since_begun() == []
     config = json.loads((tmp_path / CONFIG).read_text())
-    now = config["versions"]["jax"], config["machine"]
-    config["versions"]["jax"], config["machine"] = "0.0.1", "another"
+    config["groups"][0]["runs"][0]["name"] = name
     (tmp_path / CONFIG).write_text(json.dumps(config))
-    assert directory.changes_since_begun() == [
-        f"jax 0.0.1 (now {now[0]})",
-        f"another (now {now[1]})",
-    ]
+    with pytest.raises(SettingError, match=r"config.json is damaged: run: .* is no name for a"):
+        directory.groups()
+
+
+LINKS = [
+    *("policies", "policies/x.npz", "policies/x.npz.partial", "checkpoints/x.npz"),
+    *("metrics.jsonl", "lock", "holder", CONFIG),
+]
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_directory_with_a_link_is_neither_read_nor_written(link: str, tmp_path: Path) -> None:
+    out, target = tmp_path / "out", tmp_path / "target"
+    with RunDirectory.claimed(out, fresh=True) as directory:
+        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+    target.write_bytes((out / CONFIG).read_bytes())
+    if link == "policies":
+        shutil.rmtree(out / link)
+    (out / link).unlink(missing_ok=True)
+    (out / link).symlink_to(target)
+    before = target.read_bytes()
+    complaint = f"{out / link} is a symbolic link, which a run directory may not hold"
+    with pytest.raises(SettingError, match=re.escape(complaint)):
+        RunDirectory.open(out)
+    with pytest.raises(SettingError, match=re.escape(complaint)):
+        RunDirectory(out).restore_config()
+    with (
+        pytest.raises(SettingError, match=re.escape(complaint)),
+        RunDirectory.claimed(out, fresh=False),
+    ):
+        pass
+    assert target.read_bytes() == before
+
+
+def test_a_link_to_a_run_directory_is_fine(tmp_path: Path) -> None:
+    with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
+        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+    (tmp_path / "link").symlink_to(tmp_path / "out")
+    assert len(RunDirectory.open(tmp_path / "link").groups()[0].runs) == 2
+
+
+def test_a_link_in_place_of_a_half_written_file_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "target").write_text("kept")
+    (tmp_path / f"a{PARTIAL}").symlink_to(tmp_path / "target")
+    with replacing(tmp_path / "a") as file:
+        file.write(b"new")
+    assert (tmp_path / "a").read_bytes() == b"new"
+    assert (tmp_path / "target").read_text() == "kept"
+
+
+CONFIGS = {
+    "{}": "KeyError",
+    "[]": "AttributeError",
+    "5": "AttributeError",
+    '{"format": 2, "groups": []}': "it needs runs",
+    '{"format": 2, "groups": [{"runs": []}]}': "ValueError",
+    '{"format": 2, "groups": {"a": 1}}': "TypeError",
+    '{"format": 2, "groups": [{"runs": [5]}]}': "TypeError",
+    '{"format": 2, "groups": [{"runs": [{"name": "a", "env": 5}]}]}': "env: 5 is not of type str",
+    '{"format": 2, "groups": [{"runs": [{"name": "a", "epochs": 1e999}]}]}': "epochs: inf",
+    '{"format": 2, "groups": [{"runs": [{"name": "a", "agent": ["b"]}]}]}': "agent: ",
+    '{"format": 2, "groups": [{"runs": [{"name": "a"}, {"name": "a"}]}]}': "name of its own",
+    "[" * 100_000: "RecursionError",
+    '{"format": 2, "groups": ' + "[" * 900 + "]" * 900 + "}": "Error",
+    "9" * 5000: "ValueError",
+    "\xff": "Error",
+}
+
+
+@pytest.mark.parametrize("text", CONFIGS, ids=range(len(CONFIGS)))
+def test_hostile_configs_are_refused_in_one_line(text: str, tmp_path: Path) -> None:
+    (tmp_path / CONFIG).write_bytes(text.encode("latin-1"))
+    directory = RunDirectory.open(tmp_path)
+    for read in (
+        directory.groups,
+        lambda: directory.moved({"env": ["a.py:B"]}) or directory.groups(),
+    ):
+        with pytest.raises(SettingError) as caught:
+            read()
+        assert "\n" not in str(caught.value)
+    with pytest.raises(SettingError, match=f"config.json is damaged: .*{CONFIGS[text]}"):
+        directory.groups()
+
+
+def test_a_config_beyond_all_measure_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / CONFIG).open("wb") as file:
+        file.truncate(2**30)
+    with pytest.raises(SettingError, match="it has more than 268,435,456 bytes"):
+        RunDirectory.open(tmp_path).groups()

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from experiments.learning.records import RecordedRun, upgraded
+from experiments.learning.records import RecordedRun, settings_from
 
 EVERY = 1000
 """Environment steps between evaluations."""
@@ -13,7 +13,8 @@ def run(
     rates: Sequence[float | None], seed: int = 0, sweep: str = "one", **settings: Any
 ) -> RecordedRun:
     """A run on push with HER that was evaluated every 1,000 environment steps and 2 seconds."""
-    values = upgraded({"her_filter": True, "epochs": len(rates), **settings, "seed": seed})
+    shared = {"env": "push", "her_filter": True, "epochs": len(rates)}
+    values = settings_from({**shared, **settings, "seed": seed})
     rows = [
         {
             "run": f"{sweep}_seed{seed}",

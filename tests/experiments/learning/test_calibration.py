@@ -3,17 +3,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.loop.training import Trainer
+from cgm_jax.agents.ddpg import DDPG
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.loop.training import make_trainer
 from cgm_jax.storage.policies import policy_arrays
 from experiments.learning.calibration import success_per_mask
 from experiments.learning.calibration_errors import calibration_errors
-from tests.cgm_jax.probe import TINY, OneStepProbe, actor_that_needs_to_see_y
+from tests.cgm_jax.probe import OneStepProbe, actor_that_needs_to_see_y
 
 
 def test_estimates_know_the_full_goal_and_measurements_the_masked_one() -> None:
     env = OneStepProbe((1.0,), goal_size=2, action_size=2)
-    state = Trainer(env, TINY).initial_state(Hyperparameters())
+    small = Settings(env="probe", environments=1, replay_transitions=10)
+    state = make_trainer(env, small).init(Hyperparameters(agent=DDPG(hidden_layers=(16, 16))))
     actor = actor_that_needs_to_see_y(state.agent.actor)
     arrays = policy_arrays(*jax.tree.map(np.asarray, (actor, state.normaliser)))
     arrays = jax.tree.map(jnp.asarray, arrays)

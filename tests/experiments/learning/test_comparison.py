@@ -10,11 +10,11 @@ from experiments.learning.comparison import comparison
 from tests.experiments.learning.recorded import run
 
 CURRICULA: list[dict[str, Any]] = [
-    {"cgm": False},
+    {"curriculum": "full"},
     {},
     {"factorised": False},
     {"masked_evaluation_episodes": 10},
-    {"kappa": 0.0},
+    {"curriculum": "uniform"},
 ]
 ALGORITHMS: list[dict[str, Any]] = [{"her": False}, {}, {"her_filter": False}]
 
@@ -33,6 +33,15 @@ def test_every_algorithm_has_a_line_that_looks_like_no_other() -> None:
     assert len({line.get_label() for line in lines}) == 15
     ends = [np.asarray(line.get_ydata())[-1] for line in lines]
     np.testing.assert_allclose(ends, [0.05 * n for n in range(15)])
+    plt.close(figure)
+
+
+def test_settings_that_would_look_alike_do_not() -> None:
+    others: list[dict[str, Any]] = [{}, {"c_g": 0.4}, {"full_share": 0.1}, {"mask_input": True}]
+    figure = comparison([run([0.1, 0.2], **other) for other in others])
+    lines = medians(figure)
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 4
+    assert len({line.get_label() for line in lines}) == 4
     plt.close(figure)
 
 

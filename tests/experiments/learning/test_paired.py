@@ -49,13 +49,13 @@ def test_arms_are_compared_by_seeds_that_both_have() -> None:
     later = [0.0, 0.0, 0.6, 0.6, 0.6]
     never = [0.0] * 4
     runs = [run(learns, seed) for seed in (2, 0, 1)]
-    runs += [run(later, 0, cgm=False), run(never, 1, cgm=False)]
+    runs += [run(later, 0, curriculum="full"), run(never, 1, curriculum="full")]
     (entry,) = comparisons(runs)
     assert (entry["setting"], entry["baseline"]) == ("CGM (10 %, 32)", "no masks")
     # Held at 4,000 against 5,000 and never; the shorter training was 4,000.
     assert (entry["seeds"], entry["level"], entry["counted_to"]) == ("0 1", 0.5, 4000)
     assert entry["differences"] == "<0 <0"
-    (entry,) = comparisons([*runs[:4], run([0.0] * 9, 1, cgm=False)])
+    (entry,) = comparisons([*runs[:4], run([0.0] * 9, 1, curriculum="full")])
     assert entry["counted_to"] == 5000
     assert entry["differences"] == "-1000 <-1000"
     assert (entry["mean_difference"], entry["low"], entry["high"]) == (-1000, -1000, -1000)
@@ -66,8 +66,8 @@ def test_arms_are_compared_by_seeds_that_both_have() -> None:
 def test_everything_is_compared_with_no_masks_and_with_the_papers_best_point() -> None:
     curricula = [
         {},
-        {"cgm": False},
-        {"kappa": 0.0},
+        {"curriculum": "full"},
+        {"curriculum": "uniform"},
         {"factorised": False},
         {"c_g": 0.4},
         {"her_filter": False},  # another algorithm
@@ -82,11 +82,28 @@ def test_everything_is_compared_with_no_masks_and_with_the_papers_best_point() -
     }
 
 
+def test_estimates_are_compared_at_their_point_and_what_learns_with_ddpg() -> None:
+    point = {"c_g": 0.8}
+    settings = [point, {**point, "success_history": 50}, {**point, "mask_input": True}]
+    runs = [run([0.6] * 3, seed, **one) for one in settings for seed in (0, 1)]
+    pairs = [(row["algorithm"], row["setting"], row["baseline"]) for row in comparisons(runs)]
+    ddpg = "DDPG + HER"
+    assert pairs == [
+        (ddpg, "CGM, h = 50 (80 %, 32)", "CGM (80 %, 32)"),
+        ("", f"{ddpg} (mask as input), CGM (80 %, 32)", f"{ddpg}, CGM (80 %, 32)"),
+    ]
+
+
 @pytest.mark.parametrize(
     "other",
     [
-        [run([0.6] * 3, 5, cgm=False), run([0.6] * 3, 1, cgm=False)],  # one seed in common
-        [run([0.0] * 3, seed, cgm=False, leave_at=0.2) for seed in (0, 1)],  # left before 50 %
+        [
+            run([0.6] * 3, 5, curriculum="full"),
+            run([0.6] * 3, 1, curriculum="full"),
+        ],  # one seed in common
+        [
+            run([0.0] * 3, seed, curriculum="full", leave_at=0.2) for seed in (0, 1)
+        ],  # left before 50 %
     ],
 )
 def test_pairs_that_cannot_be_compared_are_left_out(other: list) -> None:
@@ -94,5 +111,5 @@ def test_pairs_that_cannot_be_compared_are_left_out(other: list) -> None:
 
 
 def test_arms_that_both_learn_nothing_are_not_compared() -> None:
-    runs = [run([0.1] * 5, seed, cgm=cgm) for seed in range(3) for cgm in (True, False)]
+    runs = [run([0.1] * 5, seed, curriculum=name) for seed in range(3) for name in ("cgm", "full")]
     assert comparisons(runs) == []

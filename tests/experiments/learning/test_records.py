@@ -19,6 +19,7 @@ def trained(
     with RunDirectory.claimed(path, fresh=True) as directory:
         directory.write_config(split(group, 1), "smoke", "cpu")
     fixed = {"env": "reach", "c_g": 0.1, "kappa": 4.0, "her": True, "cgm": True, "wall_s": 1.5}
+    fixed |= {"curriculum": "cgm", "agent": "ddpg"}
     fixed |= {"physics_warnings": 0.0, "failed_epoch": None, **metrics}
     fixed |= dict.fromkeys(("mask_rate_estimated", "mask_rate_training", "mask_probability"), RATES)
     rows = [
@@ -79,18 +80,68 @@ def test_settings_that_an_older_version_had_not_are_at_their_defaults(tmp_path: 
     config = json.loads(path.read_text())
     before = [settings for _, settings in records.recorded_settings("mine")]
     for group in config["groups"]:
-        del group["settings"]["leave_at"]
         for run in group["runs"]:
-            del run["her_filter"]
+            del run["leave_at"], run["her_filter"]
     path.write_text(json.dumps(config))
     after = [settings for _, settings in records.recorded_settings("mine")]
     assert [run["leave_at"] for run in before] == [0.5, 0.5]
     assert after == [{**run, "leave_at": None, "her_filter": False} for run in before]
 
 
+def test_runs_of_the_first_format_have_the_settings_and_rows_of_today(tmp_path: Path) -> None:
+    shared = {"env": "push", "epochs": 1, "hidden_layers": [8, 8], "leave_at": None}
+    run = {"seed": 0, "cgm": True, "c_g": 0.2, "kappa": 4.0, "her": False, "her_k": 6.0}
+    runs = [
+        {**run, "name": "cgm"},
+        {**run, "name": "full", "cgm": False, "c_g": 0.1},
+        {**run, "name": "uniform", "kappa": 0.0},
+    ]
+    folder = tmp_path / "sweeps" / "old"
+    folder.mkdir(parents=True)
+    config = {"groups": [{"settings": shared, "runs": runs}]}
+    (folder / CONFIG).write_text(json.dumps(config))
+    columns = "run,env,seed,epoch,env_steps,her,cgm,c_g,kappa,success_rate\n"
+    lines = [f"{r['name']},push,0,1,100,False,True,0.1,0.0,0.5\n" for r in runs]
+    (folder / records.LEARNING).write_text(columns + "".join(lines))
+    cgm, full, uniform = records.recorded_runs("old")
+    assert [one.settings["curriculum"] for one in (cgm, full, uniform)] == [
+        "cgm",
+        "full",
+        "uniform",
+    ]
+    assert (cgm.settings["c_g"], cgm.settings["kappa"], cgm.settings["agent"]) == (0.2, 4.0, "ddpg")
+    assert (cgm.settings["hidden_layers"], cgm.alone) == ([8, 8], False)
+    assert {"c_g", "kappa"}.isdisjoint({*full.settings, *uniform.settings})
+    assert "her_k" not in cgm.settings  # without effect, as HER is off
+    (row,) = uniform.rows
+    assert (row["cgm"], row["curriculum"], row["c_g"], row["success_rate"]) == (
+        *(False, "uniform", None, 0.5),
+    )
+
+
+def test_runs_are_the_same_whatever_their_order_and_what_has_no_effect() -> None:
+    one, other = ({"env": "push", "her": False, "seed": seed} for seed in (0, 1))
+    planned = [records.settings_from(one), records.settings_from({**other, "her_k": 3.0})]
+    assert records.same_runs(planned, [records.settings_from(run) for run in (other, one)])
+    assert not records.same_runs(planned, planned[:1])
+    assert not records.same_runs(planned, [planned[0], {**planned[1], "discount": 0.9}])
+
+
+def test_an_environment_of_these_experiments_is_the_same_in_every_checkout(tmp_path: Path) -> None:
+    name = "experiments/learning/sliders.py:Sliders"
+    checkout = str(Path(records.__file__).parents[2])
+    trained(tmp_path / "run", {"env": [f"{checkout}/{name}"]}, [[1.0] * 5] * 2)
+    assert checkout in (tmp_path / "run" / CONFIG).read_text()
+    records.record(RunDirectory(tmp_path / "run"), "mine")
+    assert checkout not in (tmp_path / "sweeps" / "mine" / CONFIG).read_text()
+    assert {settings["env"] for _, settings in records.recorded_settings("mine")} == {name}
+    here = records.settings_from({"env": f"/else/where/{name}"})
+    assert here["env"] == name
+
+
 def test_a_setting_that_no_version_had_is_named() -> None:
-    with pytest.raises(ValueError, match="settings warp_drive"):
-        records.upgraded({"seed": 0, "name": "a run's", "warp_drive": True})
+    with pytest.raises(ValueError, match="warp_drive"):
+        records.settings_from({"seed": 0, "warp_drive": True})
 
 
 def test_nothing_done_leaves_the_record_of_before(tmp_path: Path) -> None:

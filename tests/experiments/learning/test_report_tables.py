@@ -2,7 +2,8 @@
 
 import pytest
 
-from experiments.learning import report_tables
+from experiments.learning import report_tables, report_values
+from experiments.learning.plans import Plans, Question
 from experiments.learning.records import RecordedRun
 from tests.experiments.learning.recorded import run
 
@@ -19,7 +20,7 @@ def question(monkeypatch: pytest.MonkeyPatch) -> list[RecordedRun]:
 def test_speed_shows_every_seed_and_who_left(question: list[RecordedRun]) -> None:
     learns, never = [0.0, 0.9, 0.9, 0.9], [0.0] * 5
     question += [run(learns, 0, leave_at=0.9, epochs=5), run(never, 1, leave_at=0.9)]
-    question += [run([0.5] * 4, 2, cgm=False, leave_at=0.5, epochs=5)]
+    question += [run([0.5] * 4, 2, curriculum="full", leave_at=0.5, epochs=5)]
     table = report_tables.speed("any")
     assert table.header[0] == "masks"  # task and algorithm are the same
     assert list(table.rows[0]) == [
@@ -35,7 +36,10 @@ def test_speed_shows_every_seed_and_who_left(question: list[RecordedRun]) -> Non
 
 def test_paired_says_how_large_a_difference_is_at_least(question: list[RecordedRun]) -> None:
     question += [run([0.5] * 9, seed) for seed in (0, 1)]
-    question += [run([0.0] * 2 + [0.5] * 7, 0, cgm=False), run([0.0] * 9, 1, cgm=False)]
+    question += [
+        run([0.0] * 2 + [0.5] * 7, 0, curriculum="full"),
+        run([0.0] * 9, 1, curriculum="full"),
+    ]
     (row,) = report_tables.paired("any", "50").rows
     # 3 against 5 and against never, counted as 9; t of one degree of freedom is 12.706.
     assert list(row) == [
@@ -46,7 +50,7 @@ def test_paired_says_how_large_a_difference_is_at_least(question: list[RecordedR
 
 def test_a_grid_has_epochs_by_seed(question: list[RecordedRun]) -> None:
     question += [run([0.5] * 4, seed, c_g=c_g) for c_g in (0.0, 0.4) for seed in (0, 1)]
-    question += [run([0.0] * 4, 0, kappa=4.0, c_g=0.4), run([0.5] * 3, 0, cgm=False)]
+    question += [run([0.0] * 4, 0, kappa=4.0, c_g=0.4), run([0.5] * 3, 0, curriculum="full")]
     table = report_tables.grid("any", "push")
     assert list(table.header) == ["c_g", "0 %", "40 %"]
     assert [list(row) for row in table.rows] == [
@@ -60,7 +64,7 @@ def test_a_grid_has_epochs_by_seed(question: list[RecordedRun]) -> None:
 def test_what_moved_the_block_is_shown_per_seed_as_far_as_it_is_known(
     question: list[RecordedRun],
 ) -> None:
-    question += [run([0.6] * 4, 0), run([0.0] * 2, 0, cgm=False), run([0.0] * 2, 1)]
+    question += [run([0.6] * 4, 0), run([0.0] * 2, 0, curriculum="full"), run([0.0] * 2, 1)]
     for row, share in zip(question[0].rows, (0.1, 0.3, 0.5, None), strict=True):
         row["moved_share"] = share
     for row in question[1].rows:
@@ -71,8 +75,31 @@ def test_what_moved_the_block_is_shown_per_seed_as_far_as_it_is_known(
         ["CGM (10 %, 32)", "0", "3", "never", "20 %", "50 %"],
         ["no masks", "0", "never", "never", "4 %", ""],
     ]
+    question.append(run([0.0] * 2, her_filter=False))
+    question[-1].rows[0]["moved_share"] = 0.3
+    table = report_tables.moved_episodes("any", "2000")
+    assert list(table.header)[:2] == ["algorithm", "masks"]
+    assert table.rows[-1][0] == "DDPG + HER (from all episodes)"
     question.clear()
     assert report_tables.moved_episodes("any", "2000").rows == []
+
+
+def test_what_is_not_trained_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    questions = {
+        "why": Question("Why?", ["a", "b"], []),
+        "how": Question("How?", ["b", "c"], []),
+        "who": Question("Who?", ["b"], []),
+    }
+    for module in (report_tables, report_values):
+        monkeypatch.setattr(module, "read_plans", lambda: Plans({}, questions))
+        monkeypatch.setattr(module, "recorded_runs", lambda sweep: ["a run"] * (sweep == "b"))
+    rows = report_tables.planned().rows
+    assert [list(row) for row in rows] == [
+        ["Why?", "`why`", "1 of 2"],
+        ["How?", "`how`", "1 of 2"],
+    ]
+    assert report_values.not_trained("why") == "`a`"
+    assert report_values.not_trained("who") == "nothing"
 
 
 def test_stages_of_a_curriculum_by_hand(question: list[RecordedRun]) -> None:

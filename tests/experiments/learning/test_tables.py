@@ -44,7 +44,7 @@ def test_runs_that_share_setting_and_seed_are_not_taken_for_one() -> None:
 
 
 def test_settings_keep_their_order_and_their_seeds() -> None:
-    table = learning_speed([run([0.1], cgm=False, seed=1), run([0.1]), run([0.1], seed=1)])
+    table = learning_speed([run([0.1], curriculum="full", seed=1), run([0.1]), run([0.1], seed=1)])
     assert [(entry["masks"], entry["seeds"]) for entry in table] == [
         ("no masks", "1"),
         ("CGM", "0 1"),

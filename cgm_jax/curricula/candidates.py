@@ -1,0 +1,56 @@
+"""What curricula over goals and starts choose among, and how likely it succeeds."""
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from cgm_jax.curricula.protocol import View
+
+
+def achieved_goals(key: jax.Array, view: View, shape: tuple[int, ...]) -> jax.Array:
+    """Goals [*shape, n] drawn uniformly from those that replay's episodes achieved at any step.
+
+    Zeros while replay is empty.
+    """
+    episode_key, step_key = jax.random.split(key)
+    episode = jax.random.randint(episode_key, shape, 0, jnp.maximum(view.filled, 1))
+    step = jax.random.randint(step_key, shape, 0, view.achieved.shape[1])
+    return view.achieved[episode, step]
+
+
+def nearest_success(
+    points: jax.Array,
+    practised: jax.Array,
+    success: jax.Array,
+    filled: jax.Array,
+    neighbours: int,
+) -> jax.Array:
+    """Estimated success rate [m] of points: the mean over the nearest that were practised.
+
+    Args:
+        points: [m, d].
+        practised: [N, d].
+        success: of what was practised, [N] bool.
+        filled: which rows of both are real, [N] bool.
+        neighbours: how many to average over, or all there are if those are fewer.
+
+    Returns:
+        NaN where nothing was practised, which compares false with anything.
+    """
+    squares = jnp.sum(jnp.square(points[:, None] - practised), axis=-1)  # [m, N]
+    closeness = jnp.where(filled, -squares, -jnp.inf)
+    nearest_closeness, nearest = jax.lax.top_k(closeness, min(neighbours, len(practised)))
+    known = jnp.isfinite(nearest_closeness)
+    count, total = known.sum(axis=1), jnp.sum(known & success[nearest], axis=1)
+    return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan)
+
+
+def between(rates: jax.Array, least: ArrayLike, most: ArrayLike) -> jax.Array:
+    """Which success rates are neither too low nor too high; those that are NaN are not."""
+    return (rates >= least) & (rates <= most)
+
+
+def draw_eligible(key: jax.Array, eligible: jax.Array, count: int) -> jax.Array:
+    """Indices [count], uniform among the eligible ones of [m]; among all if there is none."""
+    logits = jnp.where(eligible | ~eligible.any(), 0.0, -jnp.inf)
+    return jax.random.categorical(key, logits, shape=(count,))

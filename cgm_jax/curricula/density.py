@@ -1,0 +1,21 @@
+"""Kernel density estimates with a Gaussian kernel, as scikit-learn's `KernelDensity`."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import logsumexp
+from jax.typing import ArrayLike
+
+
+def log_density(points: jax.Array, samples: jax.Array, bandwidth: ArrayLike) -> jax.Array:
+    """Logarithm of the density [...] at points [..., n] that samples [m, n] suggest.
+
+        log (1 / m) sum_j N(x; x_j, bandwidth^2 I)
+
+    Finite however far a point is from all samples.
+    """
+    dimensions = samples.shape[-1]
+    squares = jnp.sum(jnp.square((points[..., None, :] - samples) / bandwidth), axis=-1)
+    normaliser = dimensions * (0.5 * math.log(2 * math.pi) + jnp.log(bandwidth))
+    return logsumexp(-0.5 * squares, axis=-1) - math.log(samples.shape[0]) - normaliser

@@ -1,0 +1,165 @@
+"""Maximum entropy gain (MEGA and OMEGA; Pitis, Chan, Zhao, Stadie and Ba 2020): the frontier.
+
+    MEGA:   argmin over candidates with Q(s_0, g) >= cutoff of p_ag(g)
+    OMEGA:  with probability alpha = 1 / max(b + KL(p_dg || p_ag), 1) the environment's goal, if
+            its Q is at least the cutoff; else MEGA's
+
+Candidates are drawn from the goals that replay achieved; p_ag and p_dg are kernel densities of
+achieved goals and of the environment's goals, standardised by the achieved ones. As in the authors'
+program (mrl): bandwidth 0.1, b = -3, KL as the mean over draws from p_dg; the cutoff falls by 1
+where at least 70 % of ten episodes succeed and rises by 1 where at most 30 % do, within
+[-(1 - gamma^(0.8 T)) / (1 - gamma), -3]; if no candidate reaches it, that of the highest Q. What
+differs: success is that of the last step, where mrl's is that of any step; Q is the mean over
+critics; mrl takes 500 candidates and 10,000 goals behind a density. Its random exploration after
+success ("go explore") is not part of choosing goals and is left out. With a large `omega_bonus`
+OMEGA is MEGA.
+
+    python -m cgm_jax.train --curriculum mega --candidates 100
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax.typing import ArrayLike
+
+from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.candidates import achieved_goals
+from cgm_jax.curricula.density import log_density
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
+from cgm_jax.curricula.recent import Recent, empty_recent, mean_of, record
+
+CUTOFF_EPISODES = 10
+"""Episodes that decide whether the cutoff moves."""
+
+EASY, HARD = 0.7, 0.3
+"""Success of these episodes from which on it falls, and up to which it rises."""
+
+REACHED_WITHIN = 0.8
+"""Share of an episode's steps within which a goal must be reached at least."""
+
+MAX_DISCOUNT = 0.99
+LEAST_DEVIATION = 1e-4
+"""What mrl adds to the standard deviation of achieved goals."""
+
+
+class Memo(NamedTuple):
+    """What choosing goals has shown: alpha, and the lowest value of a candidate; scalars."""
+
+    alpha: jax.Array
+    lowest_value: jax.Array
+
+
+class MEGAState(struct.PyTreeNode):
+    """What decides which goals count as reachable.
+
+    Attributes:
+        cutoff: value of a goal from which on it does, scalar.
+        lower: how far the cutoff may fall at present, scalar; never below `floor`.
+        floor: value of a goal that takes most of an episode, scalar.
+        successes: of the training episodes since the cutoff last moved, up to ten.
+        alpha: of the last cycle; NaN while replay was empty.
+    """
+
+    cutoff: jax.Array
+    lower: jax.Array
+    floor: jax.Array
+    successes: Recent
+    alpha: jax.Array
+
+
+@settings
+class MEGA(Curriculum[MEGAState]):
+    """Rare goals within reach. Its settings, with the names of the options."""
+
+    density_bandwidth: float = traced(0.1, "bandwidth of densities of standardised goals", 1e-3, 10)
+    omega_bonus: float = traced(-3.0, "b of OMEGA; the smaller, the more of the task's goals")
+    initial_cutoff: float = traced(-3.0, "value from which on a goal counts as reachable", high=0)
+    discount: float = traced(0.98, "discount factor gamma", 0, 0.9999)
+    candidates: int = static(100, "goals among which to choose", 1, 10**5)
+    density_samples: int = static(1000, "goals behind a density", 1, 10**5)
+
+    def init(self, sizes: Sizes) -> MEGAState:
+        """The initial cutoff."""
+        gamma = jnp.minimum(jnp.asarray(self.discount, jnp.float32), MAX_DISCOUNT)
+        floor = -(1.0 - gamma ** (REACHED_WITHIN * sizes.episode_length)) / (1.0 - gamma)
+        cutoff = jnp.maximum(self.initial_cutoff, floor)
+        return MEGAState(
+            cutoff=cutoff,
+            lower=cutoff,
+            floor=floor,
+            successes=empty_recent(jnp.zeros((), bool), CUTOFF_EPISODES),
+            alpha=jnp.full((), jnp.nan, jnp.float32),
+        )
+
+    def sample(self, state: MEGAState, key: jax.Array, drawn: Goals, view: View) -> Goals:
+        """The environment's goals, or the rarest that can be reached."""
+        candidate_key, achieved_key, drawn_key, mix_key = jax.random.split(key, 4)
+        count = len(drawn.desired)
+        candidates = achieved_goals(candidate_key, view, (count, self.candidates))
+        achieved = achieved_goals(achieved_key, view, (self.density_samples,))
+        mean, deviation = achieved.mean(axis=0), achieved.std(axis=0) + LEAST_DEVIATION
+        achieved = (achieved - mean) / deviation
+        density = log_density((candidates - mean) / deviation, achieved, self.density_bandwidth)
+
+        observation = view.first.obs["observation"]
+        several = jnp.broadcast_to(
+            observation[:, None], (count, self.candidates, observation.shape[-1])
+        )
+        values = view.value(several, candidates).mean(axis=0)
+        frontier = candidates[jnp.arange(count), rarest_reachable(density, values, state.cutoff)]
+
+        target = (view.draw(drawn_key, self.density_samples) - mean) / deviation
+        divergence = jnp.mean(
+            log_density(target, target, self.density_bandwidth)
+            - log_density(target, achieved, self.density_bandwidth)
+        )
+        alpha = 1.0 / jnp.maximum(self.omega_bonus + divergence, 1.0)
+        within_reach = view.value(observation, drawn.desired).mean(axis=0) >= state.cutoff
+        kept = within_reach & jax.random.bernoulli(mix_key, alpha, (count,))
+        known = view.filled > 0
+        return drawn.replace(
+            desired=jnp.where((known & ~kept)[:, None], frontier, drawn.desired),
+            memo=Memo(jnp.where(known, alpha, jnp.nan), values.min()),
+        )
+
+    def after_training(self, state: MEGAState, outcomes: Outcomes) -> MEGAState:
+        """Move the cutoff by how many of the last episodes succeeded."""
+        happened, memo = outcomes.valid.any(), outcomes.goals.memo
+        successes = record(state.successes, outcomes.success, outcomes.valid)
+        enough = happened & successes.filled.all()
+        rate = mean_of(successes, successes.rows)
+        easy, hard = enough & (rate >= EASY), enough & (rate <= HARD)
+        lower = jnp.maximum(state.floor, jnp.minimum(memo.lowest_value, state.lower))
+        lower = jnp.where(enough, lower, state.lower)
+        higher = jnp.maximum(jnp.minimum(self.initial_cutoff, state.cutoff + 1.0), state.floor)
+        cutoff = jnp.where(easy, jnp.maximum(lower, state.cutoff - 1.0), state.cutoff)
+        recorded = jnp.where(easy | hard, 0, successes.recorded)
+        return state.replace(
+            cutoff=jnp.where(hard, higher, cutoff),
+            lower=lower,
+            successes=successes.replace(recorded=recorded),
+            alpha=jnp.where(happened, memo.alpha, state.alpha),
+        )
+
+    def report(self, state: MEGAState) -> dict[str, jax.Array]:
+        """The chance of the environment's own goals, and the cutoff."""
+        return {"omega_alpha": state.alpha, "mega_cutoff": state.cutoff}
+
+
+def rarest_reachable(density: jax.Array, values: jax.Array, cutoff: ArrayLike) -> jax.Array:
+    """Index [E] of the candidate to practise.
+
+    Args:
+        density: of each candidate or its logarithm, [E, C].
+        values: what the critics expect of it, [E, C].
+        cutoff: value from which on it counts as reachable.
+
+    Returns:
+        The least dense of those that can be reached; where none can, that of the highest value.
+    """
+    reachable = values >= cutoff
+    rarest = jnp.argmin(jnp.where(reachable, density, jnp.inf), axis=1)
+    return jnp.where(reachable.any(axis=1), rarest, jnp.argmax(values, axis=1))

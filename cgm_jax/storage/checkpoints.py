@@ -1,0 +1,117 @@
+"""Checkpoints as files: which of them are finished and whole, and what config they carry.
+
+What the arrays in them mean is known to host/checkpoint.py. No JAX is needed here.
+"""
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+from cgm_jax.storage.files import replacing
+
+
+def manifest_path(path: Path) -> Path:
+    """Where a checkpoint's SHA-256 and size are written, and the config, last of all."""
+    return path.with_suffix(".json")
+
+
+def write_manifest(path: Path, sha256: str, size: int, config: bytes) -> None:
+    """Finish a checkpoint.
+
+    Args:
+        path: the checkpoint.
+        sha256: of its bytes.
+        size: how many they are.
+        config: config.json, so that it can be restored.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    text = config.decode(errors="replace")
+    entry = {
+        "sha256": sha256,
+        "bytes": size,
+        "config": text,
+        "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
+    }
+    with replacing(manifest_path(path), durable=True) as file:
+        file.write(json.dumps(entry).encode())
+
+
+def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
+    """A group's finished checkpoints, oldest first; or those of all groups."""
+
+    def position(path: Path) -> list[int]:
+        return [int(number) for number in re.findall(r"\d+", path.stem)]
+
+    paths = directory.glob(f"group{group}_epoch*_cycle*.npz")
+    return sorted((path for path in paths if manifest_path(path).exists()), key=position)
+
+
+def damage(path: Path) -> str | None:
+    """What is wrong with a checkpoint's bytes; None if they are those that were written."""
+    try:
+        manifest = json.loads(manifest_path(path).read_bytes())
+        expected, size = manifest["sha256"], manifest["bytes"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return "its manifest cannot be read"
+    try:
+        if path.stat().st_size != size:
+            return f"{path.stat().st_size} bytes instead of {size}"
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        return str(error.strerror)
+    return None if digest == expected else "its checksum differs"
+
+
+def restore_config(config: Path, checkpoints: Path) -> str | None:
+    """Bring a lost or torn config.json back from a checkpoint that is whole.
+
+    A file that holds an object, whatever is in it, is left alone: somebody may have edited it.
+
+    Args:
+        config: the file.
+        checkpoints: the directory of checkpoints.
+
+    Returns:
+        A line that says what was done; None if there was nothing to be done, or no checkpoint
+        to do it from.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if _holds_object(config):
+        return None
+    for path in reversed(finished_checkpoints(checkpoints)):
+        content = None if damage(path) else _carried_config(path)
+        if content is None:
+            continue
+        state = "was missing"
+        if config.exists():
+            aside = config.with_name(config.name + ".damaged")
+            config.replace(aside)
+            state = f"was damaged and is set aside as {aside}"
+        with replacing(config, durable=True) as file:
+            file.write(content)
+        return f"{config} {state}; restored from {path}"
+    return None
+
+
+def _holds_object(path: Path) -> bool:
+    try:
+        return isinstance(json.loads(path.read_bytes()), dict)
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def _carried_config(path: Path) -> bytes | None:
+    """The config beside a checkpoint; None in those of versions that did not write one."""
+    try:
+        manifest = json.loads(manifest_path(path).read_bytes())
+        content = manifest["config"].encode()
+        whole = hashlib.sha256(content).hexdigest() == manifest["config_sha256"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    return content if whole else None

@@ -1,0 +1,242 @@
+"""What the protocol asks of a curriculum, asked of every one that comes with this package."""
+
+import functools
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cgm_jax.config.components import builtin
+from cgm_jax.config.fields import Field, SettingError, declared, stack
+from cgm_jax.config.grid import hyperparameters
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
+from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.loop.rollout import drawn_goals, reset
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.training import Programs, compilations, make_programs, make_trainer
+from tests.examples.point_mass import PointMass
+
+NAMES = sorted(builtin("curriculum"))
+COUNT, CYCLES = 8, 2
+ENV = PointMass()
+SETTINGS = Settings(
+    env="probe",
+    cycles_per_epoch=CYCLES,
+    environments=COUNT,
+    updates_per_cycle=1,
+    batch_size=8,
+    replay_transitions=1000,
+    evaluation_episodes=4,
+)
+TRAINER = make_trainer(ENV, SETTINGS)
+
+
+def other_value(item: "Field[Any]") -> Any:
+    """A value of a traced setting that is not its default."""
+    default: Any = item.default
+    if isinstance(default, bool):
+        return not default
+    if isinstance(default, int):
+        return default + 1
+    low = max(item.metadata["low"], default - 1.0)
+    return low + 0.3 * (min(item.metadata["high"], low + 2.0 * abs(default) + 1.0) - low)
+
+
+def critics_for(name: str) -> int:
+    """One critic, which compiles fastest, or three where a curriculum asks for several."""
+    try:
+        jax.eval_shape(TRAINER.init, hyperparameters(curriculum=name, critics=1))
+    except SettingError:
+        return 3
+    return 1
+
+
+def two_runs(name: str) -> list[Hyperparameters]:
+    """Two runs that differ in the seed and in every traced setting of the curriculum."""
+    agent = {"hidden_layers": (8,), "target_update_every": 1, "critics": critics_for(name)}
+    others = {
+        item.name: other_value(item)
+        for item in declared(builtin("curriculum")[name])
+        if item.metadata["traced"]
+    }
+    return [
+        hyperparameters(curriculum=name, seed=0, **agent),
+        hyperparameters(curriculum=name, seed=1, **agent, **others),
+    ]
+
+
+class Trained(NamedTuple):
+    """Two epochs of two runs side by side."""
+
+    runs: list[Hyperparameters]
+    programs: Programs
+    start: Any  # the shapes of a state
+    state: TrainingState
+    metrics: list[dict[str, np.ndarray]]
+
+    @property
+    def curriculum(self) -> "Curriculum[Any]":
+        """That of the first run."""
+        return jax.tree.map(jnp.asarray, stack(self.runs[:1])).curriculum
+
+    def own_state(self, run: int = 0) -> Any:
+        """The curriculum's state in one run."""
+        return jax.tree.map(lambda leaf: leaf[run], self.state.curriculum)
+
+
+@functools.cache
+def trained(name: str) -> Trained:
+    runs, programs = two_runs(name), make_programs(TRAINER)
+    hyper = stack(runs)
+    if not hasattr(ENV, "restart"):
+        try:
+            jax.eval_shape(TRAINER.init, runs[0])
+        except SettingError as error:
+            pytest.skip(str(error))
+    state = programs.start(hyper)
+    start = jax.eval_shape(lambda: state)
+    metrics = []
+    for _ in range(2):
+        state = programs.train(state, hyper, CYCLES)
+        state, measured = programs.evaluate(state, hyper)
+        metrics.append(jax.tree.map(np.asarray, measured))
+    return Trained(runs, programs, start, state, metrics)
+
+
+def value(observation: jax.Array, goal: jax.Array) -> jax.Array:
+    """Three critics that disagree the more, the farther a goal is away."""
+    far = jnp.square(goal).sum(-1) + 0.0 * observation.sum(-1)
+    return jnp.stack([-far, -2.0 * far, -3.0 * far])
+
+
+def further_goals(key: jax.Array, count: int) -> jax.Array:
+    """Goals that the environment draws, [count, n]."""
+    return reset(ENV, key, count).obs["desired_goal"]
+
+
+def view_and_goals(state: TrainingState) -> tuple[View, Goals]:
+    """What a curriculum sees of one run, and what the environment drew."""
+    first = reset(ENV, jax.random.key(3), COUNT)
+    filled = jnp.minimum(state.replay.inserted, len(state.replay.episodes.mask))
+    view = View(first, state.replay.episodes.achieved_goal, filled, value, further_goals)
+    return view, drawn_goals(ENV, first)
+
+
+def outcomes(curriculum: Any, goals: Goals, valid: np.ndarray, invalid_success: bool) -> Outcomes:
+    """Valid episodes succeed in turns; those that are not valid alike, and one is not finite."""
+    first = reset(ENV, jax.random.key(4), COUNT)
+    success = jnp.where(valid, jnp.arange(COUNT) % 2 == 0, invalid_success)
+    observation = first.obs["observation"]
+    if invalid_success:
+        observation = jnp.where(valid[:, None], observation, jnp.nan)
+    return Outcomes(
+        goals=goals,
+        success=success,
+        subgoal_success=jnp.repeat(success[:, None], goals.mask.shape[1], axis=1),
+        valid=jnp.asarray(valid),
+        observation=observation,
+        visited=first if curriculum.wants_visited else None,
+    )
+
+
+def assert_same(one: Any, other: Any) -> None:
+    def words(leaf: jax.Array) -> np.ndarray:
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    jax.tree.map(lambda x, y: np.testing.assert_array_equal(words(x), words(y)), one, other)
+
+
+@pytest.fixture(params=NAMES)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_it_compiles_once_and_its_state_keeps_its_shape(name: str) -> None:
+    done = trained(name)
+    assert compilations(done.programs) == 3
+    assert jax.tree.structure(done.state) == jax.tree.structure(done.start)
+    end = jax.eval_shape(lambda: done.state)
+    for before, after in zip(*map(jax.tree.leaves, (done.start, end)), strict=True):
+        assert (before.shape, before.dtype) == (after.shape, after.dtype)
+        assert not before.weak_type
+        assert not after.weak_type
+
+
+def test_training_practises_possible_goals_and_reports_one_row_per_run(name: str) -> None:
+    done = trained(name)
+    episodes = 2 * CYCLES * COUNT
+    stored = jax.tree.map(lambda leaf: np.asarray(leaf)[:, :episodes], done.state.replay.episodes)
+    np.testing.assert_array_equal(done.state.replay.inserted, episodes)
+    assert set(np.unique(stored.mask)) <= {0.0, 1.0}
+    assert (stored.threshold > 0.0).all()
+    assert np.isfinite(stored.desired_goal).all()
+    for metrics in done.metrics:
+        assert {len(leaf) for leaf in metrics.values()} == {2}
+        reported = done.curriculum.report(done.own_state())
+        assert set(reported) <= set(metrics)
+
+
+def test_runs_with_other_settings_are_vmapped(name: str) -> None:
+    done, key = trained(name), jax.random.key(5)
+    view, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
+
+    @jax.jit
+    def sample(curriculum: Any, state: Any) -> Goals:
+        return curriculum.sample(state, key, drawn, view)
+
+    curricula = stack(done.runs).curriculum
+    together = jax.jit(jax.vmap(sample, axis_size=2))(curricula, done.state.curriculum)
+    for run in range(2):
+        alone = sample(jax.tree.map(lambda leaf, i=run: leaf[i], curricula), done.own_state(run))
+        assert jax.tree.structure(alone) == jax.tree.structure(together)
+        for one, other in zip(*map(jax.tree.leaves, (alone, together)), strict=True):
+            np.testing.assert_allclose(one, other[run], rtol=1e-5, atol=1e-6)
+            assert one.dtype == other.dtype
+            assert not other.weak_type
+        assert alone.mask.shape == drawn.mask.shape
+        assert alone.threshold.shape == drawn.threshold.shape
+
+
+def test_episodes_with_broken_physics_change_nothing(name: str) -> None:
+    done = trained(name)
+    curriculum, before = done.curriculum, done.own_state()
+    view, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
+    curriculum = jax.tree.map(lambda leaf: leaf[0], curriculum)
+    goals = curriculum.sample(before, jax.random.key(6), drawn, view)
+    some = np.arange(COUNT) % 3 > 0
+    for learn in (curriculum.after_training, curriculum.after_evaluation):
+        nothing = outcomes(curriculum, goals, np.zeros(COUNT, bool), invalid_success=True)
+        assert_same(learn(before, nothing), before)
+        one, other = (
+            learn(before, outcomes(curriculum, goals, some, invalid_success=success))
+            for success in (True, False)
+        )
+        assert_same(one, other)
+
+
+def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
+    done = trained(name)
+    save_checkpoint(tmp_path, 0, Standing(done.state, epoch=2))
+    standing, notes = load_checkpoint(tmp_path, 0, done.start)
+    assert standing is not None
+    assert not notes
+    assert_same(standing.state, done.state)
+    hyper, copy = stack(done.runs), jax.tree.map(jnp.copy, done.state)
+    resumed = done.programs.train(standing.state, hyper, 1)
+    assert_same(resumed, done.programs.train(copy, hyper, 1))
+    assert compilations(done.programs) == 3
+
+
+def test_wrong_settings_are_refused_by_name(name: str) -> None:
+    for item in declared(builtin("curriculum")[name]):
+        low, high = item.metadata["low"], item.metadata["high"]
+        wrong = ["much", *(bound for bound in (low - 1, 2 * high + 1) if np.isfinite(bound))]
+        for bad in wrong:
+            with pytest.raises(SettingError, match=f"^{item.name}: "):
+                hyperparameters(curriculum=name, **{item.name: bad})

@@ -1,0 +1,154 @@
+from collections import deque
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cgm_jax.curricula.density import log_density
+from cgm_jax.curricula.mega import MEGA, MEGAState, Memo, rarest_reachable
+from tests.cgm_jax.curricula.line import (
+    SIZES,
+    Line,
+    drawn_goals,
+    outcomes,
+    same_bits,
+    view,
+    walk,
+)
+
+
+def oracle_density(points: np.ndarray, samples: np.ndarray, bandwidth: float) -> np.ndarray:
+    """Mean of the normal densities around all samples, in float64 and by the definition."""
+    squares = ((points[:, None] - samples[None]).astype(np.float64) ** 2).sum(axis=-1)
+    scale = (bandwidth * np.sqrt(2 * np.pi)) ** points.shape[1]
+    return (np.exp(-0.5 * squares / bandwidth**2) / scale).mean(axis=1)
+
+
+@pytest.mark.parametrize("bandwidth", [0.1, 1.0])
+def test_densities_are_means_of_normal_densities(bandwidth: float) -> None:
+    points, samples = np.random.default_rng(0).normal(size=(2, 30, 3)).astype(np.float32)
+    ours = log_density(jnp.asarray(points), jnp.asarray(samples), bandwidth)
+    expected = oracle_density(points, samples, bandwidth)
+    seen = expected > 1e-30
+    np.testing.assert_allclose(ours[seen], np.log(expected[seen]), rtol=1e-3, atol=1e-3)
+    assert np.isfinite(ours).all()
+
+
+def test_the_rarest_goal_within_reach_is_chosen_and_else_the_most_promising() -> None:
+    density = jnp.array([[-9.0, -5.0, -1.0]] * 3)
+    values = jnp.array([[-8.0, -2.0, -1.0], [-1.0, -1.0, -1.0], [-8.0, -6.0, -4.0]])
+    np.testing.assert_array_equal(rarest_reachable(density, values, -3.0), [1, 0, 2])
+
+
+def test_the_cutoff_starts_at_its_setting_but_no_lower_than_an_episode_reaches() -> None:
+    np.testing.assert_allclose(MEGA().init(SIZES).cutoff, -3.0)
+    floor = -(1 - 0.98**40) / 0.02
+    np.testing.assert_allclose(MEGA().init(SIZES).floor, floor, rtol=1e-5)
+    short = SIZES._replace(episode_length=2)
+    np.testing.assert_allclose(MEGA().init(short).cutoff, -(1 - 0.98**1.6) / 0.02, rtol=1e-4)
+
+
+def test_the_cutoff_follows_success_as_in_mrl() -> None:
+    rng, curriculum = np.random.default_rng(1), MEGA()
+    floor = -(1 - 0.98**40) / 0.02
+    cutoff, lower, last = -3.0, -3.0, deque(maxlen=10)
+    state, seen = curriculum.init(SIZES), []
+    step = jax.jit(curriculum.after_training)
+    for cycle in range(150):
+        rate = 0.9 if cycle < 80 else 0.15
+        success, lowest = rng.random(4) < rate, float(rng.uniform(-40, 0))
+        goals = drawn_goals(np.zeros((4, 2))).replace(
+            memo=Memo(jnp.asarray(0.5), jnp.asarray(lowest))
+        )
+        state = step(state, outcomes(goals, success))
+        last.extend(success)
+        if len(last) == 10:
+            lower = max(floor, min(lowest, lower))
+            if np.mean(last) >= 0.7:
+                cutoff = max(lower, cutoff - 1.0)
+                last.clear()
+            elif np.mean(last) <= 0.3:
+                cutoff = max(min(-3.0, cutoff + 1.0), floor)
+                last.clear()
+        seen.append(cutoff)
+        np.testing.assert_allclose(state.cutoff, cutoff, rtol=1e-5)
+        np.testing.assert_allclose(state.lower, lower, rtol=1e-5)
+    assert min(seen) < -20.0
+    assert seen[-1] > min(seen) + 5.0
+
+
+def test_episodes_with_broken_physics_change_nothing() -> None:
+    state = MEGA().init(SIZES)
+    goals = drawn_goals(np.zeros((20, 2))).replace(memo=Memo(jnp.asarray(1.0), jnp.asarray(-9.0)))
+    broken = outcomes(goals, np.ones(20), np.zeros(20, bool))
+    assert same_bits(MEGA().after_training(state, broken), state)
+
+
+def sampled(state: MEGAState, drawn_value: float, bonus: float) -> tuple[np.ndarray, Memo]:
+    """Goals of 64 episodes: replay achieved normal goals, the environment's are uniform in 0..1."""
+    achieved = np.random.default_rng(0).normal(size=(50, 5, 2))
+    curriculum = MEGA(omega_bonus=bonus, density_samples=300)
+    drawn = drawn_goals(np.full((64, 2), 0.5))
+    goals = curriculum.sample(
+        state,
+        jax.random.key(0),
+        drawn,
+        view(
+            achieved,
+            50,
+            np.zeros((64, 2)),
+            value=lambda _, goal: jnp.where((goal == 0.5).all(-1), drawn_value, -1.0)[None],
+            draw=lambda key, count: jax.random.uniform(key, (count, 2)),
+        ),
+    )
+    return np.asarray(goals.desired), goals.memo
+
+
+def test_omega_keeps_the_environments_goals_with_probability_alpha_if_they_can_be_reached() -> None:
+    state = MEGA().init(SIZES)
+    goals, memo = sampled(state, -1.0, bonus=-3.0)
+    assert memo.alpha == 1.0  # achieved goals cover them: KL is below 4
+    assert (goals == 0.5).all()
+    goals, memo = sampled(state, -1.0, bonus=4.0)
+    assert 0.1 < memo.alpha < 0.3  # 1 / (4 + KL), KL of about 1.5
+    np.testing.assert_allclose((goals == 0.5).all(axis=1).mean(), memo.alpha, atol=0.15)
+    goals, _ = sampled(state, -5.0, bonus=-3.0)
+    assert not (goals == 0.5).all(axis=1).any()
+    assert np.median(np.linalg.norm(goals, axis=1)) > 2.0  # of 100, the outermost
+
+
+def test_alpha_is_one_over_the_divergence_of_the_two_densities() -> None:
+    achieved = np.random.default_rng(0).normal(size=(400, 1, 1))
+    target = np.random.default_rng(1).normal(2.0, size=(200, 1))
+    curriculum = MEGA(density_samples=200, omega_bonus=2.0)
+    # Of one dimension; by draws of its own, so that only the mean is compared.
+    goals = curriculum.sample(
+        curriculum.init(SIZES._replace(goal=1)),
+        jax.random.key(0),
+        drawn_goals(np.zeros((4, 1))),
+        view(
+            achieved,
+            400,
+            np.zeros((4, 1)),
+            value=lambda _, goal: goal[None, ..., 0] * 0.0,
+            draw=lambda *_: jnp.asarray(target, jnp.float32),
+        ),
+    )
+    samples = achieved[:, 0]
+    standard = [(x - samples.mean()) / samples.std() for x in (target, samples)]
+    divergence = np.mean(
+        np.log(oracle_density(standard[0], standard[0], 0.1))
+        - np.log(np.maximum(oracle_density(standard[0], standard[1], 0.1), 1e-300))
+    )
+    np.testing.assert_allclose(1 / goals.memo.alpha, 2.0 + divergence, rtol=0.5)
+
+
+@pytest.mark.slow
+def test_training_practises_the_frontier() -> None:
+    ours, full = (walk(name, Line(), 60)[1].replay.episodes for name in ("mega", "full"))
+    achieved = np.abs(np.asarray(ours.achieved_goal))
+    goals = np.abs(np.asarray(ours.desired_goal))[-480:, 0]
+    assert np.median(goals) > np.quantile(achieved, 0.95)
+    assert (goals <= achieved.max()).mean() > 0.97  # and yet they were achieved before
+    assert (np.abs(np.asarray(full.desired_goal)) <= achieved.max()).mean() < 0.7

@@ -1,0 +1,87 @@
+"""A user's own curriculum, from the command line to metrics and checkpoints."""
+
+import functools
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgm_jax import sweep
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import build_groups
+from cgm_jax.host import recorder, runner, session
+from cgm_jax.results import figures
+from tests.cgm_jax.sweeps import POINT_MASS
+
+GROWING = f"{Path(__file__).with_name('my_curriculum.py')}:Growing"
+OPTIONS = ["--preset", "smoke", "--env", POINT_MASS, "--curriculum", GROWING]
+OPTIONS += ["--epochs", "2", "--cycles-per-epoch", "1"]
+
+
+def test_its_own_setting_is_swept_in_one_program() -> None:
+    options = {"env": [POINT_MASS], "curriculum": [GROWING], "gain": [0.5, 0.7]}
+    (group,) = build_groups("smoke", options)
+    assert [run.hyper.curriculum.gain for run in group.runs] == [0.5, 0.7]
+    names = [run.name for run in group.runs]
+    assert names == [
+        f"point_mass-PointMass_ddpg-her_my_curriculum-Growing_gain{gain}_seed0"
+        for gain in ("0.5", "0.7")
+    ]
+
+
+def test_its_file_is_found_again_from_any_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parent)
+    options = {"env": [POINT_MASS], "curriculum": ["my_curriculum.py:Growing"]}
+    ((run,),) = (group.runs for group in build_groups("smoke", options))
+    assert run.values["curriculum"] == GROWING
+
+
+def test_a_wrong_value_and_another_curriculums_setting_are_refused() -> None:
+    chosen = {"env": [POINT_MASS], "curriculum": [GROWING]}
+    with pytest.raises(SettingError, match=r"gain: 1\.5 is not within \[0, 1\]"):
+        build_groups("smoke", {**chosen, "gain": [1.5]})
+    with pytest.raises(SettingError, match="c_g: is no setting of curriculum"):
+        build_groups("smoke", {**chosen, "c_g": [0.1]})
+
+
+def test_it_trains_stops_and_resumes_by_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    patient = functools.partial(session.Interruption, patience=300.0)
+    monkeypatch.setattr(session, "Interruption", patient)
+    monkeypatch.setattr(figures, "draw_figures", lambda _: None)
+    make, programs = runner.make_programs, {}
+    monkeypatch.setattr(runner, "make_environment", functools.cache(runner.make_environment))
+    monkeypatch.setattr(runner, "make_trainer", functools.cache(runner.make_trainer))
+    monkeypatch.setattr(
+        runner, "make_programs", lambda trainer: programs.setdefault(id(trainer), make(trainer))
+    )
+    record = recorder.Recorder.record_epoch
+
+    def stop(self: Any, standing: Any, metrics: Any) -> Any:
+        os.kill(os.getpid(), signal.SIGTERM)
+        return record(self, standing, metrics)
+
+    out = tmp_path / "out"
+    arguments = [*OPTIONS, "--set", "gain=0.5,0.7", "--out", str(out)]
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder.Recorder, "record_epoch", stop)
+        assert sweep.main(arguments) == 75
+    checkpoints = {path.name for path in (out / "checkpoints").glob("*.npz")}
+    assert "group0_epoch000001_cycle000000.npz" in checkpoints
+    assert sweep.main(arguments) == 0
+    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert [row["epoch"] for row in rows] == [1, 1, 2, 2]
+    assert {row["curriculum"] for row in rows} == {GROWING}
+    assert rows[2]["run"] != rows[3]["run"]
+    for run, gain in enumerate((0.5, 0.7)):
+        kept = 0.5
+        for row in rows[run::2]:
+            shares = zip(row["mask_rate_training"], row["mask_share"], strict=True)
+            success = sum(rate * share for rate, share in shares if share)
+            kept += gain * (success - kept)
+            assert row["keep_probability"] == pytest.approx(kept, abs=1e-6)
+            assert row["mask_probability"] is None
