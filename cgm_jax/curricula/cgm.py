@@ -31,6 +31,7 @@ from cgm_jax.curricula.history import (
 )
 from cgm_jax.curricula.levels import (
     MAX_GOAL_SIZE,
+    REPORTED,
     draw_masks_by_difficulty,
     probabilities_by_difficulty,
     report_levels,
@@ -125,14 +126,15 @@ class CGM(Curriculum[CGMState]):
         """What masks practise.
 
         Up to ten dimensions per mask [2^n]: its estimated success rate, and its probability of
-        being drawn. Beyond, by estimated success rate in steps of 0.05, from 1,024 draws: the
-        share of masks near it, and the dimensions that these keep, [21].
+        being drawn. Beyond, by estimated success rate (`level`) in steps of 0.05, from 1,024
+        draws: the share of masks near it, and the dimensions that these keep, [21].
         """
         if state.subgoals.successes.shape[-1] <= MAX_TABULATED:
             rates = self.rates(state)
             return {"mask_rate_estimated": rates, "mask_probability": self.probabilities(rates)}
         levels = report_levels(*self.draw(state, jax.random.key(0), REPORTED_DRAWS))
         return {
+            "level": jnp.linspace(0.0, 1.0, REPORTED),
             "level_probability": levels.probability,
             "level_kept_dimensions": levels.kept_dimensions,
         }

@@ -141,10 +141,17 @@ def _mean(curves: np.ndarray) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
+def _shown_rows(size: int) -> np.ndarray:
+    """Rows to name: the first, the last and some between, evenly spaced where that is possible."""
+    even = [count for count in range(6, MAX_TICKS + 1) if (size - 1) % (count - 1) == 0]
+    count = max(even, default=MAX_TICKS) if size > MAX_TICKS else size
+    return np.unique(np.linspace(0, size - 1, count).round().astype(int))
+
+
 def _name_rows(panel: Axes, rows: Rows, key: str, size: int) -> None:
     """Tick labels of a heat map: of masks what they keep, else the values that a row gives."""
     kind = key.partition("_")[0]
-    shown = np.unique(np.linspace(0, size - 1, min(size, MAX_TICKS)).round().astype(int))
+    shown = _shown_rows(size)
     named = rows[-1].get(kind)
     if isinstance(named, list) and len(named) == size:
         texts = ["-" if named[i] is None else f"{named[i]:.3g}" for i in shown]

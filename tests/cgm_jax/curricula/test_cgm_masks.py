@@ -110,6 +110,8 @@ def test_goals_of_twenty_dimensions_train_by_the_command_line(tmp_path: Path) ->
         assert len(row["subgoal_success"]) == 20
         assert sum(row["level_probability"]) == pytest.approx(1.0, abs=1e-5)
         assert len(row["level_kept_dimensions"]) == 21
+        assert row["level"] == pytest.approx([i / 20 for i in range(21)])
         for name in ("mask_rate_estimated", "mask_rate_training", "mask_probability", "mask_share"):
             assert row[name] is None
-    assert (tmp_path / "out/figures/mask_success.png").is_file()
+    drawn = {path.name for path in (tmp_path / "out/figures").iterdir()}
+    assert drawn == {"learning_curves.png", "curriculum.png"}
