@@ -4,6 +4,8 @@
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
+# Two processes of tests, a file in one of them, so that its tests share what they compile.
+PARALLEL := --numprocesses 2 --dist loadfile
 
 .PHONY: setup sweep test test-slow test-sb3 faults lint bench transfer lock clean
 
@@ -19,11 +21,11 @@ sweep: setup
 	$(RUN) -m cgm_jax.sweep --preset quick $(ARGS)
 
 test: lint
-	$(RUN) -m pytest -m "not slow" $(ARGS)
+	$(RUN) -m pytest $(PARALLEL) -m "not slow" $(ARGS)
 
 # What takes long: MJX, kill -9, memory. .ci/run runs both.
 test-slow: setup
-	$(RUN) -m pytest -m slow $(ARGS)
+	$(RUN) -m pytest $(PARALLEL) -m slow $(ARGS)
 
 # Stable-Baselines3 takes PyTorch, which is large, and so has an environment of its own. The networks
 # are small: more threads than one would wait for each other most of the time.

@@ -19,4 +19,9 @@ from jaxtyping import install_import_hook  # noqa: E402
 CHECKED = ("cgm_jax.agents.networks", "cgm_jax.curricula.goals")
 install_import_hook(CHECKED, "beartype.beartype")
 
+import jax  # noqa: E402
+
+# Programs of this process are not worth keeping; those of processes that tests start are.
+jax.config.update("jax_enable_compilation_cache", False)
+
 import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax
