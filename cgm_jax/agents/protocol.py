@@ -4,6 +4,9 @@ An agent is a class of settings (see `config/fields.py`) with pure functions ove
 own, any flax struct of arrays. All are written for one run; the loop vmaps them over runs, the
 settings included. A new agent is one new file with one class derived from `Agent`.
 
+The state keeps its structure, shapes and types. A run whose state is not finite, or holds a number
+beyond 1e9, is frozen and named by the field; fields whose names end in "optimiser" may hold more.
+
 Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - gamma), 0].
 """
 
@@ -40,7 +43,7 @@ class Agent(Protocol[State]):
     Attributes:
         explores: whether `act` with a key explores by itself; else the loop adds Gaussian noise.
             Uniform random actions are the loop's for all agents.
-        logged: names of the scalars that `train` returns.
+        logged: names of the scalars that `train` returns, all of which it must return.
     """
 
     explores: ClassVar[bool] = False
@@ -80,7 +83,7 @@ class Agent(Protocol[State]):
         ...
 
     def actor(self, state: State) -> Parameters:
-        """The deterministic policy that is evaluated and exported.
+        """The deterministic policy that is evaluated and exported, instead of `act`.
 
         A perceptron as `networks.Actor` has it: ReLU between layers, tanh at the end, parameters
         {"params": {"layer_0": {"kernel": [in, out], "bias": [out]}, ...}}.

@@ -62,12 +62,6 @@ def component(kind: str, name: str) -> type:
     return found
 
 
-def name_of(instance: Any) -> str:
-    """The name by which an instance's class was chosen, if it comes with this package."""
-    module = type(instance).__module__
-    return module.rpartition(".")[2]
-
-
 @functools.cache
 def builtin_fields() -> dict[str, "Field[Any]"]:
     """Every setting of the components that come with this package, by name.

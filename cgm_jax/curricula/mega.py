@@ -17,7 +17,7 @@ OMEGA is MEGA.
     python -m cgm_jax.train --curriculum mega --candidates 100
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -73,6 +73,8 @@ class MEGAState(struct.PyTreeNode):
 @settings
 class MEGA(Curriculum[MEGAState]):
     """Rare goals within reach. Its settings, with the names of the options."""
+
+    needs_critics: ClassVar[int] = 1
 
     density_bandwidth: float = traced(0.1, "bandwidth of densities of standardised goals", 1e-3, 10)
     omega_bonus: float = traced(-3.0, "b of OMEGA; the smaller, the more of the task's goals")

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
 from cgm_jax.config.sizes import Sizes
@@ -90,11 +89,13 @@ class Curriculum(Protocol[State]):
         wants_visited: whether `Outcomes.visited` is needed, which costs memory.
         shows_threshold: whether the networks must see an episode's threshold, since it varies.
         wants_critics: how many critics an agent gets that can have several, unless a run says.
+        needs_critics: how many it must have at least, or is refused.
     """
 
     wants_visited: ClassVar[bool] = False
     shows_threshold: ClassVar[bool] = False
     wants_critics: ClassVar[int] = 1
+    needs_critics: ClassVar[int] = 0
 
     def init(self, sizes: Sizes) -> State:
         """The state before any training.
@@ -113,6 +114,9 @@ class Curriculum(Protocol[State]):
             key: consumed.
             drawn: what the environment drew: its own goals, whole, at its own threshold.
             view: replay and critics.
+
+        Returns:
+            `drawn`, with other values of the same shapes and types: `drawn.replace(mask=...)`.
         """
         ...
 
@@ -143,7 +147,8 @@ class Curriculum(Protocol[State]):
         """What metrics.jsonl is to hold: the state that an epoch was trained with, by name.
 
         The figure curriculum.png draws scalars as lines and arrays [k] as heat maps over training;
-        values of an array `a` [k] name the rows of an array `a_b` [k].
+        values of an array `a` [k] name the rows of an array `a_b` [k]. Names of settings, and those
+        that metrics.jsonl has already (`loop/own_components.py`), are taken.
         """
         del state
         return {}
@@ -159,8 +164,3 @@ PROTOCOL = Curriculum
 def with_mask(drawn: Goals, mask: jax.Array) -> Goals:
     """The goals that the environment drew, under other masks [E, n]."""
     return drawn.replace(mask=mask)
-
-
-def full_mask(goals: jax.Array) -> jax.Array:
-    """The mask that keeps all dimensions of goals [..., n]."""
-    return jnp.ones_like(goals)

@@ -56,6 +56,7 @@ class Starts(Curriculum[StartsState]):
     """Starts between too hard and too easy. Its settings, with the names of the options."""
 
     wants_visited: ClassVar[bool] = True
+    needs_critics: ClassVar[int] = 1
 
     least_success: float = traced(0.1, "estimated success below which it is too hard", 0, 0.5)
     most_success: float = traced(0.9, "estimated success above which it is too easy", 0.5, 1)

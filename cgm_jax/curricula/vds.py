@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax.scipy.special import xlogy
 
-from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
@@ -33,20 +33,14 @@ class VDS(Curriculum[VDSState]):
     """Goals critics disagree about. Its settings, with the names of the options."""
 
     wants_critics: ClassVar[int] = 3
+    needs_critics: ClassVar[int] = 2
 
     disagreement_power: float = traced(1.0, "goals count by critics' deviation to this", 0, 100)
     candidates: int = static(100, "goals among which to choose", 1, 10**5)
 
     def init(self, sizes: Sizes) -> VDSState:
-        """Nothing known yet.
-
-        Raises:
-            SettingError: there are not several critics.
-        """
-        if sizes.critics < 2:
-            raise SettingError(
-                f"critics: {sizes.critics} cannot disagree; --curriculum vds needs 2, better 3"
-            )
+        """Nothing known yet."""
+        del sizes
         return VDSState(jnp.full((), jnp.nan, jnp.float32))
 
     def sample(self, state: VDSState, key: jax.Array, drawn: Goals, view: View) -> Goals:

@@ -25,6 +25,7 @@ from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.loop.environment import make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
+from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
 from cgm_jax.storage.run_directory import RunDirectory
@@ -65,6 +66,7 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         programs = made[settings]
         trainer = programs.trainer
         _check_counters(trainer)
+        check_components(trainer, runs[0])
         remarks = [*remarks_on(trainer.setup.env), *_remarks_on_discount(trainer, runs)]
         notes += [remark for remark in remarks if remark not in notes]
         estimate = estimate_memory(trainer, runs[0].hyper)

@@ -10,6 +10,7 @@ setup.py        the environment and static settings, and the state before any tr
 state.py        everything that training carries from step to step
 inputs.py       what the networks see; normaliser.py its running mean and standard deviation
 environment.py  the environment that a setting names
+own_environment.py, own_components.py   what is the user's own, checked before anything is made
 """
 
 from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax

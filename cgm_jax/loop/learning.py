@@ -52,7 +52,7 @@ def learn(
     agent, info = _vmap_for_platform(_train)(hyper.agent, state.agent, batches, agent_key)
     failure, agent = freeze_if_failed(state.failure, state.agent, agent)
     losses = {name: total + info[name].sum() for name, total in state.statistics.losses.items()}
-    logged = next(iter(info.values())).size
+    logged = next((values.size for values in info.values()), 0)
     return state.replace(
         agent=agent,
         failure=failure,

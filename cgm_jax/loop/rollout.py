@@ -24,13 +24,11 @@ class Rollout(struct.PyTreeNode):
     Attributes:
         episodes: E episodes.
         outcomes: which of them count, and what they achieved.
-        success: whether the whole goal is achieved at the last step, [E] bool.
         record: what `roll_out` was asked to keep of every state, leading axis [T + 1].
     """
 
     episodes: Episodes
     outcomes: Outcomes
-    success: jax.Array
     record: Any = None
 
 
@@ -127,5 +125,4 @@ def _judge(
         valid=(warnings == 0) & jnp.stack(finite).all(axis=0) & kept.all(axis=1),
         observation=episodes.observation[:, 0],
     )
-    whole = jnp.linalg.norm(final - goal, axis=-1) < distance_threshold
-    return Rollout(episodes=episodes, outcomes=outcomes, success=whole)
+    return Rollout(episodes=episodes, outcomes=outcomes)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cgm_jax.config.fields import check_concrete
+from cgm_jax.config.fields import SettingError, check_concrete
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.masks import MAX_TABULATED
@@ -73,6 +73,10 @@ def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
     """
     check_concrete(hyper)
     known, settings = sizes(setup, hyper), setup.settings
+    if known.critics < hyper.curriculum.needs_critics:
+        name = type(hyper.curriculum).__module__.rpartition(".")[2]
+        least = hyper.curriculum.needs_critics
+        raise SettingError(f"critics: {known.critics}, but curriculum {name} needs {least} or more")
     key, agent_key = jax.random.split(jax.random.key(hyper.seed))
     length = known.episode_length
     return TrainingState(

@@ -27,7 +27,7 @@ def test_components_that_share_an_option_declare_it_alike() -> None:
     for kind in ROOMS:
         for name, found in builtin(kind).items():
             for item in declared(found):
-                said = (item.type, item.default, dict(item.metadata))
+                said = (item.type, dict(item.metadata))
                 declarations[item.name][f"{kind} {name}"] = said
     shared = {option: owners for option, owners in declarations.items() if len(owners) > 1}
     assert set(shared["progress_window"]) >= {"curriculum progress", "curriculum accuracy"}

@@ -3,7 +3,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups, hyperparameters
 from cgm_jax.curricula.vds import VDS, log_weights
 from cgm_jax.loop.inputs import network_inputs
@@ -48,9 +47,7 @@ def test_episodes_get_goals_by_what_critics_say_of_their_own_start() -> None:
     assert curriculum.report(state)["vds_disagreement"] == goals.memo
 
 
-def test_one_critic_is_refused_and_three_are_the_default() -> None:
-    with pytest.raises(SettingError, match=r"^critics: 1 cannot disagree"):
-        VDS().init(SIZES._replace(critics=1))
+def test_three_critics_are_the_default() -> None:
     assert hyperparameters(curriculum="vds").agent.critics == 3
     assert hyperparameters(curriculum="vds", critics=1).agent.critics == 1
     assert hyperparameters(curriculum="full").agent.critics == 1

@@ -123,7 +123,7 @@ def test_what_training_does_not_read_cannot_break_it(name: str) -> None:
         rollout.episodes.achieved_goal, expected.episodes.achieved_goal, atol=1e-6
     )
     assert rollout.outcomes.valid.all()
-    assert rollout.success.all()
+    assert rollout.outcomes.success.all()
 
 
 def test_what_an_environment_keeps_for_itself_is_kept() -> None:
