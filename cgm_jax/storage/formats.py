@@ -24,12 +24,12 @@ def upgraded(config: Any) -> Any:
 
 
 def _groups_of_format_1(group: dict[str, Any]) -> list[dict[str, Any]]:
-    """The runs of an old group, in groups with one curriculum each."""
+    """The runs of an old group, in groups with one curriculum each; they trained `together`."""
     parts: dict[str, list[dict[str, Any]]] = {}
     for run in group["runs"]:
         values = _run_of_format_1(group["settings"], run)
         parts.setdefault(values["curriculum"], []).append(values)
-    return [{"runs": runs} for runs in parts.values()]
+    return [{"runs": runs, "together": len(group["runs"])} for runs in parts.values()]
 
 
 CURRICULUM_ONLY = (

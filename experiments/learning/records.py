@@ -166,6 +166,11 @@ def _in_order(settings: Sequence[Row]) -> list[str]:
     return sorted(json.dumps(values, sort_keys=True) for values in settings)
 
 
+def together(group: dict[str, Any]) -> int:
+    """How many runs trained side by side with those of a group, themselves included."""
+    return group.get("together", len(group["runs"]))
+
+
 def recorded_runs(sweep: str) -> list[RecordedRun]:
     """All runs of a sweep that are on record."""
     settings = recorded_settings(sweep)
@@ -177,7 +182,7 @@ def recorded_runs(sweep: str) -> list[RecordedRun]:
         row = {name: COLUMNS[name](text) for name, text in line.items()}
         rows[line["run"]].append(row | facts[line["run"]])
     config = recorded_config(sweep) or {}
-    alone = {run["name"] for g in config["groups"] if len(g["runs"]) == 1 for run in g["runs"]}
+    alone = {run["name"] for g in config["groups"] if together(g) == 1 for run in g["runs"]}
     return [
         RecordedRun(sweep, values, rows[name], name in alone)
         for name, values in settings

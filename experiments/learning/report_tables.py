@@ -16,6 +16,7 @@ from experiments.learning.records import (
     recorded_runs,
     recorded_settings,
     settings_of,
+    together,
 )
 from experiments.learning.setting import NO_MASKS
 from experiments.learning.tables import (
@@ -44,7 +45,7 @@ def conditions() -> Table:
         config, runs = recorded_config(sweep), recorded_runs(sweep)
         if config and runs:
             cores = config["machine"].rpartition(", ")[2]
-            largest = max(len(group["runs"]) for group in config["groups"])
+            largest = max(together(group) for group in config["groups"])
             numbers = [str(len(runs)), str(largest), f"{max(run.budget for run in runs):,}"]
             rows.append([f"`{sweep}`", f"`{config['commit'][:7]}`", cores, *numbers])
     header = ["sweep", "commit", "cores", "runs", "side by side", "environment steps, at most"]

@@ -45,7 +45,11 @@ def test_an_environment_comes_from_a_file_of_any_name(tmp_path: Path) -> None:
         ("    distance_threshold: float = 0.1\n", "", "lacks distance_threshold"),
         ('"desired_goal": goal', '"goal": goal', "is no dict with observation"),
         ('"achieved_goal": position', '"achieved_goal": velocity[:1]', "achieved_goal has shape"),
-        ("0.7 * velocity", "jnp.zeros(3) * velocity", r"fails with TypeError.*envs.py, line 31"),
+        (
+            "0.7 * velocity",
+            "jnp.zeros(3) * velocity",
+            r"fails with TypeError.*envs.py, line 3",
+        ),
     ],
 )
 def test_what_is_wrong_with_an_environment_is_said_in_one_line(
