@@ -99,7 +99,7 @@ def load_checkpoint(
     """
     notes = []
     for path in reversed(finished_checkpoints(directory, group)):
-        format_of(path)
+        format_of(path)  # before a newer one, which looks damaged, is set aside
         complaint = damage(path)
         if complaint is None:
             return _read(path, like), notes

@@ -5,7 +5,7 @@ modelled: what a program holds besides the state is the largest of its phases, e
 of something whose shape is known. The multiples were read from XLA's own analysis of the
 compiled programs (jax 0.10.2); tests hold the sum within 15 % of what a process takes.
 
-That holds where a step of the environment is a callback, as of MuJoCo, or some hundred operations.
+That holds where a step of the environment is a callback, as of MuJoCo, or up to 2,000 operations.
 Physics that XLA compiles, such as Brax's and MJX's, may take as much again, most of it while they
 are compiled, which XLA's analysis of a program does not tell either. It is said not to be counted.
 """

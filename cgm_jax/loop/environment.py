@@ -42,7 +42,7 @@ def remarks_on(env: GoalEnvironment) -> list[str]:
 def compiles_physics(env: GoalEnvironment) -> bool:
     """Whether an environment has XLA compile its physics, as MJX and Brax do.
 
-    The native engine calls MuJoCo instead, and a step of some hundred operations does not count.
+    The native engine calls MuJoCo instead, and an environment of few operations does not count.
     """
     if isinstance(env, FetchEnvironment):
         return not isinstance(env.physics, NativePhysics)
