@@ -16,6 +16,33 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 
+What other programs may import (tests/test_public_imports.py holds this list to its word); all else
+may change with any version:
+
+    from cgm_jax.agents.ddpg import DDPG
+    from cgm_jax.agents.gradients import ADAM, descend
+    from cgm_jax.agents.networks import apply_actor, initial_actor
+    from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
+    from cgm_jax.agents.sac import SAC
+    from cgm_jax.agents.td3 import TD3
+    from cgm_jax.config.fields import SettingError, check, settings, stack, static, traced
+    from cgm_jax.config.grid import build_groups, hyperparameters
+    from cgm_jax.config.settings import Hyperparameters, Settings
+    from cgm_jax.config.sizes import Sizes
+    from cgm_jax.curricula.cgm import CGM
+    from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
+    from cgm_jax.envs import ENGINES, TASKS, GoalEnvironment, StartableEnvironment, make
+    from cgm_jax.evaluate import main
+    from cgm_jax.gymnasium import GoalMasking, VectorGoalMasking
+    from cgm_jax.gymnasium.stable_baselines3 import CurriculumEvalCallback
+    from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
+    from cgm_jax.replay.protocol import Relabelling, Transitions
+    from cgm_jax.replay.ring import Episodes, Replay
+    from cgm_jax.storage.policies import act, load_policy
+    from cgm_jax.storage.run_directory import RunDirectory
+    from cgm_jax.sweep import main
+    from cgm_jax.train import main
+
 The loop knows environments only through `envs.GoalEnvironment`. Importing the package registers
 the Fetch tasks with Gymnasium (gymnasium/registration.py).
 """

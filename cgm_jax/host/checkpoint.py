@@ -1,7 +1,7 @@
 """Where a group of runs stands, as files that are whole, checked, and never half trusted.
 
     group0_epoch000003_cycle000012.npz    the whole training state, and the rows of metrics.jsonl
-    group0_epoch000003_cycle000012.json   its SHA-256 and size, and config.json; written last
+    group0_epoch000003_cycle000012.json   its format, SHA-256, size, and config.json; written last
 
 A checkpoint without its manifest was never finished. One that does not match it is damaged: it
 is set aside under a name that says so, and the one before serves.
@@ -23,8 +23,10 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.storage.arrays import read_shapes, write_arrays
 from cgm_jax.storage.checkpoints import (
+    FORMAT,
     damage,
     finished_checkpoints,
+    format_of,
     manifest_path,
     write_manifest,
 )
@@ -92,10 +94,12 @@ def load_checkpoint(
         damaged one, which has been set aside.
 
     Raises:
-        SettingError: the file is whole, but holds the state of another program.
+        SettingError: the file is of a newer format; or it is whole, but holds the state of another
+            program.
     """
     notes = []
     for path in reversed(finished_checkpoints(directory, group)):
+        format_of(path)  # before a newer one, which looks damaged, is set aside
         complaint = damage(path)
         if complaint is None:
             return _read(path, like), notes
@@ -192,7 +196,11 @@ def _rows(path: Path, text: bytes) -> list[str]:
 
 
 def _foreign(path: Path) -> SettingError:
-    return SettingError(f"resume: {path} holds the state of another program")
+    number = format_of(path)
+    age = f"is a checkpoint of format {number}, of an older version of cgm_jax, and "
+    return SettingError(
+        f"resume: {path} {age if number < FORMAT else ''}holds the state of another program"
+    )
 
 
 def _named_leaves(state: TrainingState) -> list[tuple[str, jax.Array]]:

@@ -4,6 +4,10 @@ XLA would tell to the byte, but only after compiling for that number of runs. So
 modelled: what a program holds besides the state is the largest of its phases, each a multiple
 of something whose shape is known. The multiples were read from XLA's own analysis of the
 compiled programs (jax 0.10.2); tests hold the sum within 15 % of what a process takes.
+
+That holds where a step of the environment is a callback, as of MuJoCo, or up to 2,000 operations.
+Physics that XLA compiles, such as Brax's and MJX's, may take as much again, most of it while they
+are compiled, which XLA's analysis of a program does not tell either. It is said not to be counted.
 """
 
 import bisect
@@ -25,6 +29,9 @@ USABLE_SHARE = 0.8
 
 PROCESS_BYTES = 780 * 2**20
 """Host memory whatever the sweep: libraries (280 MiB), compiling (470), checkpoints, threads."""
+
+NOT_COUNTED = ", and more for its physics: what XLA takes to compile and run them is not counted"
+"""What to add to an estimate where an environment `compiles_physics`."""
 
 TRAINING_COPIES = 4
 """Of a cycle's episodes: step by step, whole, with noise, and inside the normaliser."""

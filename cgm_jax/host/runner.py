@@ -18,12 +18,12 @@ from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import Standing, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import Interruption
-from cgm_jax.host.memory import estimate_memory, format_bytes, runs_that_fit
+from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
 from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.watchdog import watchdog
-from cgm_jax.loop.environment import make_environment, remarks_on
+from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
@@ -79,7 +79,8 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         note = f"{settings.env}: {len(runs)} runs"
         if len(parts) > 1:
             note += f", {largest} at a time,"
-        notes.append(f"{note} take {format_bytes(estimate.total(largest))} of memory")
+        note += f" take {format_bytes(estimate.total(largest))} of memory"
+        notes.append(note + (NOT_COUNTED if compiles_physics(trainer.setup.env) else ""))
     return jobs, notes
 
 

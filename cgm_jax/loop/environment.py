@@ -7,6 +7,7 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.config.user_code import user_code
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.physics.native import NativePhysics
 from cgm_jax.loop.own_environment import checked
 
 
@@ -36,6 +37,16 @@ def make_environment(settings: Settings) -> GoalEnvironment:
 def remarks_on(env: GoalEnvironment) -> list[str]:
     """Lines about what an environment may do, though it is hardly meant."""
     return getattr(env, "remarks", [])
+
+
+def compiles_physics(env: GoalEnvironment) -> bool:
+    """Whether an environment has XLA compile its physics, as MJX and Brax do.
+
+    The native engine calls MuJoCo instead, and an environment of few operations does not count.
+    """
+    if isinstance(env, FetchEnvironment):
+        return not isinstance(env.physics, NativePhysics)
+    return getattr(env, "is_large", False)
 
 
 def _from_file(name: str) -> GoalEnvironment:

@@ -31,7 +31,7 @@ THRESHOLDS = (1e-15, 1e15)
 """Squares of distances must be numbers of float32."""
 
 FEW_OPERATIONS = 2_000
-"""A reset and a step of up to so many are compiled and run to look at their values."""
+"""A reset and a step of up to so many compile in seconds: they are run to look at their values."""
 
 
 class OwnState(struct.PyTreeNode):
@@ -62,6 +62,7 @@ class OwnEnvironment:
     Attributes:
         action_size, episode_length, distance_threshold: see `GoalEnvironment`.
         remarks: lines about what is allowed but hardly meant.
+        is_large: whether compiling it is a matter of minutes and of much memory.
     """
 
     def __init__(self, env: Any, name: str) -> None:
@@ -70,6 +71,7 @@ class OwnEnvironment:
         self.episode_length = _whole_number(env, name, "episode_length", MAX_EPISODE_LENGTH)
         self.distance_threshold = _distance_threshold(env, name)
         self.remarks: list[str] = []
+        self.is_large = False
         if hasattr(env, "restart"):  # optional in the protocol
             self.restart = self._restart
 
@@ -108,7 +110,8 @@ def checked(env: Any, name: str) -> GoalEnvironment:
         raise SettingError(f"env: {name} lacks {', '.join(missing)}; see envs.GoalEnvironment")
     own = OwnEnvironment(env, name)
     _check_shapes(own, env, name)
-    if _operations(own) <= FEW_OPERATIONS:
+    own.is_large = _operations(own) > FEW_OPERATIONS
+    if not own.is_large:
         _check_values(own, name)
     return own  # pyright: ignore[reportReturnType] -- its State is not brax's
 

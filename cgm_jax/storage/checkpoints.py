@@ -8,7 +8,11 @@ import json
 import re
 from pathlib import Path
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.files import replacing
+
+FORMAT = 2
+"""Of checkpoints, in the manifest. Format 1 had no such entry; its arrays are read if they fit."""
 
 
 def manifest_path(path: Path) -> Path:
@@ -30,6 +34,7 @@ def write_manifest(path: Path, sha256: str, size: int, config: bytes) -> None:
     """
     text = config.decode(errors="replace")
     entry = {
+        "format": FORMAT,
         "sha256": sha256,
         "bytes": size,
         "config": text,
@@ -49,13 +54,33 @@ def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
     return sorted((path for path in paths if manifest_path(path).exists()), key=position)
 
 
+def format_of(path: Path) -> int:
+    """The format of a checkpoint that this version reads.
+
+    Raises:
+        SettingError: it is of a newer one.
+    """
+    try:
+        number = json.loads(manifest_path(path).read_bytes()).get("format", 1)
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return FORMAT  # `damage` says what is wrong
+    if isinstance(number, int) and number > FORMAT:
+        raise SettingError(
+            f"resume: {path} is a checkpoint of format {number!s:.20}, of a newer version of "
+            f"cgm_jax; this one reads up to format {FORMAT}"
+        )
+    return number
+
+
 def damage(path: Path) -> str | None:
     """What is wrong with a checkpoint's bytes; None if they are those that were written."""
     try:
         manifest = json.loads(manifest_path(path).read_bytes())
-        expected, size = manifest["sha256"], manifest["bytes"]
-    except (OSError, ValueError, KeyError, TypeError):
+        expected, size, number = manifest["sha256"], manifest["bytes"], manifest.get("format", 1)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return "its manifest cannot be read"
+    if type(number) is not int or not 1 <= number <= FORMAT:
+        return f"its format is {number!r:.20}"
     try:
         if path.stat().st_size != size:
             return f"{path.stat().st_size} bytes instead of {size}"

@@ -16,6 +16,7 @@ from cgm_jax.host import checkpoint
 from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
+from cgm_jax.storage.checkpoints import FORMAT
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
@@ -131,6 +132,52 @@ def test_the_state_of_another_program_is_refused(tmp_path: Path, state: Training
     like = jax.eval_shape(PROGRAMS.start, other)
     with pytest.raises(SettingError, match=r"resume: .* holds the state of another program"):
         load_checkpoint(tmp_path, 0, like)
+
+
+def renumber(path: Path, number: Any) -> None:
+    """Say that a checkpoint is of another format, or with None nothing, as format 1 did."""
+    manifest = json.loads(path.with_suffix(".json").read_text())
+    assert manifest.pop("format") == FORMAT
+    entry = manifest if number is None else {**manifest, "format": number}
+    path.with_suffix(".json").write_text(json.dumps(entry))
+
+
+def test_a_checkpoint_of_the_first_format_is_read_where_its_arrays_fit(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    renumber(save(tmp_path, state, epoch=3), None)
+    standing, notes = load(tmp_path)
+    assert (standing.epoch, standing.rows, notes) == (3, ROWS, [])
+    hyper = stack([tiny(seed=i, hidden_layers=(8, 8)) for i in (0, 1)])
+    other = jax.eval_shape(PROGRAMS.start, hyper)
+    older = "is a checkpoint of format 1, of an older version of cgm_jax, and holds the state of"
+    with pytest.raises(SettingError, match=f"^resume: .*npz {older} another program"):
+        load_checkpoint(tmp_path, 0, other)
+
+
+def test_a_checkpoint_of_a_newer_format_is_refused_by_name_and_left_alone(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    save(tmp_path, state, epoch=1)
+    path = save(tmp_path, state, epoch=2)
+    renumber(path, FORMAT + 1)
+    path.write_bytes(b"as nobody knows today")
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    newer = f"checkpoint of format {FORMAT + 1}, of a newer version of cgm_jax; this one reads up"
+    with pytest.raises(SettingError, match=f"^resume: {path} is a {newer} to format {FORMAT}$"):
+        load(tmp_path)
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("number", [0, -1, True, 1.5, "2", [2], {}])
+def test_a_format_that_is_no_number_of_one_is_damage(
+    number: Any, tmp_path: Path, state: TrainingState
+) -> None:
+    save(tmp_path, state, epoch=1)
+    renumber(save(tmp_path, state, epoch=2), number)
+    standing, (note,) = load(tmp_path)
+    assert standing.epoch == 1
+    assert f"is damaged (its format is {number!r})" in note
 
 
 def forge(path: Path, name: str, content: bytes) -> None:

@@ -7,10 +7,12 @@ from pathlib import Path
 import jax
 import pytest
 
+from cgm_jax import envs
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups, run_of
 from cgm_jax.host import memory, runner
 from cgm_jax.host.memory import (
+    NOT_COUNTED,
     MemoryEstimate,
     estimate_memory,
     format_bytes,
@@ -18,6 +20,8 @@ from cgm_jax.host.memory import (
     runs_that_fit,
     tree_bytes,
 )
+from cgm_jax.loop import own_environment
+from cgm_jax.loop.environment import compiles_physics
 from cgm_jax.loop.training import make_programs, make_trainer
 from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.sweeps import ROOT
@@ -81,13 +85,14 @@ def test_the_model_of_each_phase_against_xlas_own_plan(case: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_sweep_takes_what_was_said_beforehand(tmp_path: Path) -> None:
+@pytest.mark.parametrize("env", ["push", "tests/examples/point_mass.py:PointMass"])
+def test_a_sweep_takes_what_was_said_beforehand(env: str, tmp_path: Path) -> None:
     # Memory of the process at its peak, with everything: libraries, compiling, training.
     program = (
         "import re, resource, sys; from cgm_jax.sweep import main; main(sys.argv[1:]);"
         "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])"
     )
-    options = ["--preset", "cpu", "--env", "push", "--epochs", "2", "--cycles-per-epoch", "2"]
+    options = ["--preset", "cpu", "--env", env, "--epochs", "2", "--cycles-per-epoch", "2"]
     options += ["--seeds", "8", "--batch-size", "512", "--replay-transitions", "400000"]
     options += ["--out", str(tmp_path / "out"), "--updates-per-cycle", "20"]
     result = subprocess.run(
@@ -98,7 +103,7 @@ def test_a_sweep_takes_what_was_said_beforehand(tmp_path: Path) -> None:
         check=True,
     )
     actual = int(result.stdout.split()[-1]) / 1024
-    said = re.search(r"take ([\d.,]+) ([MG])iB of memory", result.stderr)
+    said = re.search(r"take ([\d.,]+) ([MG])iB of memory$", result.stderr, re.MULTILINE)
     assert said is not None
     estimate = float(said[1].replace(",", "")) * (1024 if said[2] == "G" else 1)
     assert estimate == pytest.approx(actual, rel=0.15)
@@ -157,6 +162,23 @@ def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.Monke
     again, _ = runner.plan_jobs([job.group for job in jobs], planned=True)
     assert [job.group for job in again] == [job.group for job in jobs]
     assert len({id(job.programs) for job in again}) == 1
+
+
+@pytest.mark.parametrize(("few", "large"), [(2_000, False), (10, True)])
+def test_physics_that_xla_compiles_are_said_not_to_be_counted(
+    few: int, large: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_environment, "FEW_OPERATIONS", few)
+    name = f"{ROOT}/tests/examples/point_mass.py:PointMass"
+    groups = build_groups("smoke", {"env": [name], "kappa": [4.0]})
+    (_, (note,)) = runner.plan_jobs(groups)
+    assert note.endswith("of memory" + (NOT_COUNTED if large else ""))
+    assert NOT_COUNTED.endswith("is not counted")
+
+
+@pytest.mark.parametrize(("engine", "compiled"), [("native", False), ("mjx", True)])
+def test_mjx_is_compiled_and_mujoco_is_called(engine: str, compiled: bool) -> None:
+    assert compiles_physics(envs.make("reach", engine=engine)) is compiled
 
 
 def test_sizes_for_people() -> None:
