@@ -34,7 +34,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, run_of
 from cgm_jax.config.settings import Settings
 from cgm_jax.host import recorder, runner, session
-from cgm_jax.host.checkpoint import Standing
+from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results import figures
 from cgm_jax.storage.lock import InUseError, locked
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
@@ -96,10 +96,10 @@ def at_epoch(monkeypatch: pytest.MonkeyPatch, epoch: int, action: Callable[[], A
     """Do something once, in the middle of training, before the rows of `epoch` are written."""
     record = recorder.Recorder.record_epoch
 
-    def recording(self: Any, standing: Any, metrics: Any) -> Any:
-        if standing.epoch == epoch:
+    def recording(self: Any, training: Any, metrics: Any) -> Any:
+        if training.epoch == epoch:
             action()
-        return record(self, standing, metrics)
+        return record(self, training, metrics)
 
     monkeypatch.setattr(recorder.Recorder, "record_epoch", recording)
 
@@ -173,14 +173,12 @@ def test_all_runs_side_by_side_must_hold_the_success(
     settings = Settings(epochs=9, leave_at=0.5)
     values = dataclasses.asdict(settings)
     group = Group(settings, tuple(run_of(name, values)[1] for name in "ab"))
-    lines = [
-        json.dumps({"success_rate": r}) for pair in zip(first, second, strict=True) for r in pair
-    ]
+    both = [{"success_rate": r} for pair in zip(first, second, strict=True) for r in pair]
     state: Any = None
-    standing = Standing(state, epoch=len(first), rows=lines)
-    assert runner._is_finished(group, standing) == finished
-    standing.cycle = 1  # in the middle of an epoch nothing is decided
-    assert not runner._is_finished(group, standing)
+    training = TrainingProgress(state, epoch=len(first), rows=both)
+    assert runner._is_finished(group, training) == finished
+    training.cycle = 1  # in the middle of an epoch nothing is decided
+    assert not runner._is_finished(group, training)
 
 
 def test_wall_s_goes_on_over_interruptions_and_jumps_of_the_clock(
