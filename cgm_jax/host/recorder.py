@@ -67,23 +67,23 @@ class Recorder:
                 self._directory.write_improvement(run, training.epoch, policy)
             if row["failed_epoch"] == training.epoch:
                 note = f"{run.name} diverged in epoch {training.epoch}: {row['failure']}"
-                print(f"{note}; it learns no more, the others go on", file=sys.stderr)
+                print(f"{note}; it learns no more, the others continue", file=sys.stderr)
         return rows
 
     def save_if_due(self, training: TrainingProgress) -> None:
-        """Write a checkpoint if the last one is old; if that fails, say so and go on."""
+        """Write a checkpoint if the last one is old; if that fails, say so and continue."""
         if time.monotonic() - self._saved >= self._interval:
             self.try_to_save(training)
 
     def try_to_save(self, training: TrainingProgress) -> None:
-        """Write policies and a checkpoint; if that fails, say so and go on."""
+        """Write policies and a checkpoint; if that fails, say so and continue."""
         try:
             self.save(training)
         except OSError as error:
             self._saved = time.monotonic()
             print(
                 f"no checkpoint written ({error.strerror}); the one before stays, "
-                "and training goes on",
+                "and training continues",
                 file=sys.stderr,
             )
 

@@ -105,7 +105,7 @@ def _check_counters(trainer: Trainer) -> None:
     """Refuse to train for longer than the int32 counters of a run can count.
 
     Raises:
-        SettingError: it would take 2^31 env_steps or updates.
+        SettingError: it would take 2^31 environment steps or updates.
     """
     settings, env = trainer.setup.settings, trainer.setup.env
     cycles = settings.epochs * settings.cycles_per_epoch
@@ -167,9 +167,9 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
             training.rows = _renamed(training.rows, job.group)
         except (KeyError, TypeError) as error:
             raise SettingError(f"resume: a checkpoint holds rows of other runs: {error}") from None
-    where = f"after epoch {training.epoch}" if training else "from the beginning"
+    where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
-        print(f"{note}; going on {where}", file=sys.stderr)
+        print(f"{note}; {where}", file=sys.stderr)
     if training is None:
         with device_errors():
             training = TrainingProgress(jax.block_until_ready(job.programs.start(hyper)))

@@ -201,7 +201,7 @@ class RunDirectory:
     def changes_since_begun(
         self, device: str, groups: Sequence[Group], moved: Mapping[str, str]
     ) -> list[str]:
-        """Whatever results depend on that is another than when the sweep began.
+        """What differs from when the sweep began, of all that results depend on.
 
         Args:
             device: what JAX computes on now.
@@ -363,8 +363,8 @@ def _check_name(name: Any) -> None:
     Raises:
         ValueError: it is not.
     """
-    sound = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
-    if not sound or not 0 < len(name.encode()) <= MAX_NAME:
+    valid = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
+    if not valid or not 0 < len(name.encode()) <= MAX_NAME:
         raise SettingError(f"run: {str(name)[:60]!r} is no name for a file")
 
 
