@@ -1,6 +1,6 @@
 """`python -m cgm_jax.evaluate DIR`: success of trained policies, with a confidence interval.
 
-With `--video` also as a film, and with `--random` for random actions instead of policies.
+`--video` also writes a video of the best run; `--random` evaluates random actions, not policies.
 """
 
 import sys
@@ -70,7 +70,7 @@ class EvaluateOptions:
     """Goal axes that count as achieved, such as z or xy (default: none, the full goal)."""
 
     video: Path | None = None
-    """Film the first episodes of the best run into this file, .mp4 or .gif (Fetch only)."""
+    """Video of the best run's first episodes, an .mp4 or .gif file (Fetch only)."""
 
     video_episodes: int = 5
     """Episodes in the video."""
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.video is not None:
             interruption.expendable = False  # there are a file and an encoder to clear away
             best = max(outcomes, key=lambda name: outcomes[name].success_rate)
-            print(_film(best, outcomes[best], len(outcomes), options, interruption))
+            print(_write_video(best, outcomes[best], len(outcomes), options, interruption))
     return 0
 
 
@@ -133,7 +133,7 @@ def _plan(options: EvaluateOptions) -> Plan:
         episodes=options.episodes,
         seed=options.seed,
         mask=options.mask,
-        filmed=0 if options.video is None else min(options.video_episodes, options.episodes),
+        recorded=0 if options.video is None else min(options.video_episodes, options.episodes),
         engine=options.engine,
     )
 
@@ -185,7 +185,7 @@ def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
     return lines
 
 
-def _film(
+def _write_video(
     name: str,
     outcome: "Outcome",
     runs: int,
@@ -195,19 +195,19 @@ def _film(
     """Write the video, and say what is in it."""
     from cgm_jax.envs.fetch import FetchEnvironment
     from cgm_jax.host.progress import CountProgress
-    from cgm_jax.results.video import count_frames, film_frames, write_video
+    from cgm_jax.results.video import count_frames, video_frames, write_video
 
-    film, path = outcome.film, options.video
-    if film is None or path is None or not isinstance(outcome.env, FetchEnvironment):
-        raise SettingError("video: nothing was filmed")
-    shown = int(film.valid.sum())
+    recording, path = outcome.recording, options.video
+    if recording is None or path is None or not isinstance(outcome.env, FetchEnvironment):
+        raise SettingError("video: nothing was recorded")
+    shown = int(recording.valid.sum())
     if not shown:
         return f"{path} is not written: no valid episode among the first {options.video_episodes}"
-    solved = int((film.achieved[:, -1] & film.valid).sum())
-    frames = film_frames(outcome.env, film, options.mask, options.video_width)
+    solved = int((recording.achieved[:, -1] & recording.valid).sum())
+    frames = video_frames(outcome.env, recording, options.mask, options.video_width)
     try:
-        with CountProgress("pictures") as progress:
-            write_video(path, _watched(frames, count_frames(film), progress, interruption))
+        with CountProgress("frames") as progress:
+            write_video(path, _watched(frames, count_frames(recording), progress, interruption))
     except OSError as error:
         raise SettingError(f"video: cannot write {path}: {error}") from None
     episodes = f"{shown} episode{'s' if shown > 1 else ''}"
@@ -218,7 +218,7 @@ def _film(
 def _watched(
     frames: Iterable[Any], total: int, progress: "CountProgress", interruption: Interruption
 ) -> Iterator[Any]:
-    """Hand pictures on until a signal comes."""
+    """Pass frames on until a signal comes."""
     for number, frame in enumerate(frames):
         if interruption.requested:
             raise KeyboardInterrupt

@@ -19,7 +19,7 @@ class SweepOptions(TrainingOptions):
     """Train every combination of the given values, side by side in one process.
 
     An option takes one or more values; several make a grid axis. Options that are not given
-    keep the preset's values. The same command again goes on where it was stopped.
+    keep the preset's values. The same command again resumes where it was stopped.
     """
 
     seeds: int | None = None

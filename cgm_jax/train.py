@@ -13,7 +13,7 @@ from cgm_jax.host.session import train_groups
 class TrainOptions(TrainingOptions):
     """Train one run. Options that are not given keep the first of the preset's values.
 
-    The same command again goes on where it was stopped.
+    The same command again resumes where it was stopped.
     """
 
 

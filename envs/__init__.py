@@ -7,7 +7,7 @@ tasks.py             what distinguishes reach, push and pick_and_place
 mocap_controller.py  from an action to the pose that drags the arm (inverse kinematics)
 observations.py      from sensor readings to the Gymnasium-Robotics observation
 scene.py             the MJCF model, its names resolved to indices once
-rendering.py         pictures of a scene and its (masked) goal, without a display
+rendering.py         frames of a scene and its (masked) goal, without a display
 gymnasium/           the same tasks for Gymnasium, one by one and batched
 physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """

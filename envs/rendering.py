@@ -112,11 +112,11 @@ class Renderer:
         Args:
             scene: what to draw.
             goal_radius: the goal is achieved within this, metres.
-            width: of the picture, pixels.
-            height: of the picture, pixels.
+            width: of a frame, pixels.
+            height: of a frame, pixels.
 
         Raises:
-            ValueError: a picture of no size, or larger than the model's off-screen buffer.
+            ValueError: a frame of no size, or larger than the model's off-screen buffer.
             RenderingError: this machine cannot render.
         """
         check_size(scene, width, height)
@@ -146,7 +146,7 @@ class Renderer:
         achieved: bool,
         mask: Sequence[float] = (1, 1, 1),
     ) -> np.ndarray:
-        """A picture, [height, width, 3] uint8.
+        """A frame, [height, width, 3] uint8.
 
         Args:
             positions: generalised positions [nq], as `Physics.positions` gives them.
@@ -215,11 +215,11 @@ class Renderer:
 
 
 def check_size(scene: Scene, width: int, height: int) -> None:
-    """Check the size of a picture without opening anything.
+    """Check the size of a frame without opening anything.
 
     Raises:
         TypeError: a size is no integer.
-        ValueError: a picture of no size, or larger than the model's off-screen buffer.
+        ValueError: a frame of no size, or larger than the model's off-screen buffer.
     """
     limits = scene.model.vis.global_
     for name, size, limit in (

@@ -11,7 +11,7 @@
 
 What keeps a sweep from losing anything:
 
-    checkpoint.py       where a group of runs stands, as checked files
-    interruption.py     Ctrl-C and SIGTERM; watchdog.py where a program stands if it hangs
+    checkpoint.py       how far a group of runs has trained, as checked files
+    interruption.py     Ctrl-C and SIGTERM; watchdog.py where a program hangs
     device_errors.py    errors from below JAX, in one line
 """

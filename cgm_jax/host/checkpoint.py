@@ -1,4 +1,4 @@
-"""Where a group of runs stands, as files that are whole, checked, and never half trusted.
+"""How far a group of runs has trained, in files that are written whole and checked when read.
 
     group0_epoch000003_cycle000012.npz    the whole training state, and the rows of metrics.jsonl
     group0_epoch000003_cycle000012.json   its format, SHA-256, size, and config.json; written last
@@ -9,7 +9,6 @@ is set aside under a name that says so, and the one before serves.
 
 import contextlib
 import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +30,7 @@ from cgm_jax.storage.checkpoints import (
     write_manifest,
 )
 from cgm_jax.storage.files import PARTIAL, replacing
+from cgm_jax.storage.metrics import Row, from_lines, to_lines
 
 KEPT = 2
 DAMAGED = ".damaged"
@@ -39,41 +39,43 @@ RING = ".replay.episodes."
 
 
 @dataclass
-class Standing:
-    """Where a group of runs stands.
+class TrainingProgress:
+    """How far a group of runs has trained, and what it needs to resume there.
 
     Attributes:
         state: training state, every leaf [runs, ...].
         epoch: whole epochs done.
         cycle: cycles done of the next epoch.
         wall_s: seconds of training so far, over all processes that took part.
-        rows: its lines of metrics.jsonl so far.
+        rows: its rows of metrics.jsonl so far.
     """
 
     state: TrainingState
     epoch: int = 0
     cycle: int = 0
     wall_s: float = 0.0
-    rows: list[str] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
 
 
-def save_checkpoint(directory: Path, group: int, standing: Standing, config: bytes = b"") -> Path:
+def save_checkpoint(
+    directory: Path, group: int, training: TrainingProgress, config: bytes = b""
+) -> Path:
     """Write a checkpoint and keep the group's last two.
 
     Args:
         directory: where checkpoints lie.
         group: number of the group.
-        standing: where it stands.
+        training: how far it has trained.
         config: the bytes of config.json, which can be restored from a checkpoint.
 
     Raises:
         OSError: it cannot be written; the ones before are still there.
     """
-    path = directory / f"group{group}_epoch{standing.epoch:06d}_cycle{standing.cycle:06d}.npz"
+    path = directory / f"group{group}_epoch{training.epoch:06d}_cycle{training.cycle:06d}.npz"
     manifest_path(path).unlink(missing_ok=True)
     with replacing(path, durable=True) as file:
         hashing = _HashingWriter(file)
-        write_arrays(hashing, _named_arrays(standing))  # pyright: ignore[reportArgumentType]
+        write_arrays(hashing, _named_arrays(training))  # pyright: ignore[reportArgumentType]
     write_manifest(path, hashing.digest.hexdigest(), hashing.written, config)
     _remove_old(directory, group)
     return path
@@ -81,7 +83,7 @@ def save_checkpoint(directory: Path, group: int, standing: Standing, config: byt
 
 def load_checkpoint(
     directory: Path, group: int, like: TrainingState
-) -> tuple[Standing | None, list[str]]:
+) -> tuple[TrainingProgress | None, list[str]]:
     """The group's latest checkpoint that is whole.
 
     Args:
@@ -90,7 +92,7 @@ def load_checkpoint(
         like: a state of the same structure, whose leaves may be mere shapes.
 
     Returns:
-        Where the group stands, None if there is no whole checkpoint; and a line about each
+        How far the group has trained, None if there is no whole checkpoint; and a line about each
         damaged one, which has been set aside.
 
     Raises:
@@ -136,13 +138,13 @@ class _HashingWriter:
         self._file.flush()
 
 
-def _named_arrays(standing: Standing) -> Iterator[tuple[str, np.ndarray]]:
+def _named_arrays(training: TrainingProgress) -> Iterator[tuple[str, np.ndarray]]:
     """What a checkpoint holds, one array at a time."""
-    yield "position", np.array([standing.epoch, standing.cycle], np.int64)
-    yield "wall_s", np.array(standing.wall_s)
-    yield "rows", np.frombuffer("".join(standing.rows).encode(), np.uint8)
-    filled = _filled(standing.state)
-    for name, leaf in _named_leaves(standing.state):
+    yield "position", np.array([training.epoch, training.cycle], np.int64)
+    yield "wall_s", np.array(training.wall_s)
+    yield "rows", np.frombuffer(to_lines(training.rows).encode(), np.uint8)
+    filled = _filled(training.state)
+    for name, leaf in _named_leaves(training.state):
         array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
         yield name, array[:, :filled] if name.startswith(RING) else array
 
@@ -153,7 +155,7 @@ def _filled(state: TrainingState) -> int:
     return min(slots, int(np.max(np.asarray(state.replay.inserted))))
 
 
-def _read(path: Path, like: TrainingState) -> Standing:
+def _read(path: Path, like: TrainingState) -> TrainingProgress:
     """Read a checkpoint whose checksum is right, which does not mean that it is ours."""
     try:
         stored = read_shapes(path)
@@ -181,18 +183,14 @@ def _read(path: Path, like: TrainingState) -> Standing:
         names = [name for name, _ in _named_leaves(like)]
         restored = [_restore(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)]
         state = jax.tree.unflatten(structure, restored)
-        return Standing(state, epoch, cycle, float(file["wall_s"]), rows)
+        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows)
 
 
-def _rows(path: Path, text: bytes) -> list[str]:
-    """Lines of metrics.jsonl, each of which must be an object."""
+def _rows(path: Path, text: bytes) -> list[Row]:
     try:
-        lines = text.decode().splitlines(keepends=True)
-        if all(isinstance(json.loads(line), dict) for line in lines):
-            return lines
+        return from_lines(text.decode().splitlines())
     except (ValueError, RecursionError):
-        pass
-    raise _foreign(path)
+        raise _foreign(path) from None
 
 
 def _foreign(path: Path) -> SettingError:

@@ -102,7 +102,7 @@ class TrainingOptions(SettingOptions):
     """Directory for the results (default: runs/PRESET-TIME)."""
 
     resume: Path | None = None
-    """Directory of a sweep that was stopped: go on with it. Takes no settings; but files of your
+    """Directory of a sweep that was stopped: resume it. Takes no settings; but files of your
     own that have moved or were edited are named again, with --env and the like."""
 
     set: tuple[str, ...] = ()
@@ -112,7 +112,7 @@ class TrainingOptions(SettingOptions):
     """Least time between checkpoints; has no effect on results."""
 
     def resumes(self, chosen: Grid) -> bool:
-        """Whether to go on with a directory, whose settings are then already chosen.
+        """Whether to resume a directory, whose settings are then already chosen.
 
         Raises:
             SettingError: options out of their range or in contradiction.
@@ -134,7 +134,9 @@ class TrainingOptions(SettingOptions):
         settings = [name for name in chosen if name not in NAMES]
         others = [*settings, *(name for name in ("preset", "out") if getattr(self, name))]
         if others:
-            raise SettingError(f"resume: goes on as it was begun, without {', '.join(others)}")
+            raise SettingError(
+                f"resume: a sweep resumes as it was begun, without {', '.join(others)}"
+            )
         return True
 
 

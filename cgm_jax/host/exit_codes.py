@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """An exit code; those from 74 on say that the same command, again, goes on."""
+    """An exit code; after those from 74 on the same command, given again, resumes."""
 
     DONE = 0
     FAILED = 1

@@ -36,7 +36,7 @@ class SteadyConsole(Console):
 
 
 class SweepProgress:
-    """A bar with ETA and env_steps/s, and the success of every run so far.
+    """A bar with ETA and environment steps/s, and the success of every run so far.
 
     On a terminal it is redrawn in place; elsewhere there is one line per epoch.
     """
@@ -82,8 +82,8 @@ class SweepProgress:
         self._bar.update(self._task, advance=cycles)
 
     def advance(self, cycles: int, env_steps: int, seconds: float) -> None:
-        """A chunk is done: so many cycles, and env_steps over all runs."""
-        speed = f"{env_steps / seconds:,.0f} env_steps/s"
+        """A chunk is done: so many cycles, and environment steps over all runs."""
+        speed = f"{env_steps / seconds:,.0f} environment steps/s"
         self._bar.update(self._task, advance=cycles, speed=speed, description="training")
         self._redraw()
 
@@ -95,7 +95,7 @@ class SweepProgress:
         if not self._redraws:
             rates = sorted(rate for rate in success.values() if math.isfinite(rate)) or [math.nan]
             print(
-                f"epoch {epoch}: {rows[0]['env_steps']:,} env_steps, success median "
+                f"epoch {epoch}: {rows[0]['env_steps']:,} environment steps, success median "
                 f"{_percent(rates[len(rates) // 2])} of {len(rates)} runs "
                 f"({_percent(rates[0])} to {_percent(rates[-1])}), "
                 f"{time.monotonic() - self._started:.0f} s",

@@ -1,6 +1,5 @@
 """What a group of runs leaves on the disk while it trains."""
 
-import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -11,12 +10,13 @@ import numpy as np
 
 from cgm_jax.config.fields import parts
 from cgm_jax.config.grid import Group, Run
-from cgm_jax.host.checkpoint import Standing, save_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, save_checkpoint
 from cgm_jax.loop.divergence import describe_failure
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.state import TrainingState
+from cgm_jax.storage.metrics import Row, plain_row
 from cgm_jax.storage.policies import policy_arrays
-from cgm_jax.storage.run_directory import RunDirectory, metrics_line
+from cgm_jax.storage.run_directory import RunDirectory
 
 
 class Recorder:
@@ -27,7 +27,7 @@ class Recorder:
         directory: RunDirectory,
         group: Group,
         index: int,
-        rows: Sequence[str],
+        rows: Sequence[Row],
         checkpoint_seconds: float,
         swept: Sequence[str],
     ) -> None:
@@ -49,60 +49,59 @@ class Recorder:
         self._saved = time.monotonic()
         self._config = directory.config_bytes()  # as it was when training began
         self._best = {run.name: 0.0 for run in group.runs}
-        for line in rows:
-            self._improves(json.loads(line))
+        for row in rows:
+            self._improves(row)
 
-    def record_epoch(self, standing: Standing, metrics: Metrics) -> list[dict[str, Any]]:
+    def record_epoch(self, training: TrainingProgress, metrics: Metrics) -> list[Row]:
         """Add an epoch's rows, and keep the policies that are better than all before.
 
         Raises:
             OSError: the metrics cannot be written.
         """
-        lines = [metrics_line(row) for row in _rows(self._group, self._facts, standing, metrics)]
-        standing.rows += lines
-        self._directory.append_metrics(lines)
-        rows = [json.loads(line) for line in lines]
-        policies = _policies(self._group, standing.state)
+        rows = _rows(self._group, self._facts, training, metrics)
+        training.rows += rows
+        self._directory.append_metrics(rows)
+        policies = _policies(self._group, training.state)
         for run, row, policy in zip(self._group.runs, rows, policies, strict=True):
             if self._improves(row):
-                self._directory.write_improvement(run, standing.epoch, policy)
-            if row["failed_epoch"] == standing.epoch:
-                note = f"{run.name} diverged in epoch {standing.epoch}: {row['failure']}"
-                print(f"{note}; it learns no more, the others go on", file=sys.stderr)
+                self._directory.write_improvement(run, training.epoch, policy)
+            if row["failed_epoch"] == training.epoch:
+                note = f"{run.name} diverged in epoch {training.epoch}: {row['failure']}"
+                print(f"{note}; it learns no more, the others continue", file=sys.stderr)
         return rows
 
-    def save_if_due(self, standing: Standing) -> None:
-        """Write a checkpoint if the last one is old; if that fails, say so and go on."""
+    def save_if_due(self, training: TrainingProgress) -> None:
+        """Write a checkpoint if the last one is old; if that fails, say so and continue."""
         if time.monotonic() - self._saved >= self._interval:
-            self.try_to_save(standing)
+            self.try_to_save(training)
 
-    def try_to_save(self, standing: Standing) -> None:
-        """Write policies and a checkpoint; if that fails, say so and go on."""
+    def try_to_save(self, training: TrainingProgress) -> None:
+        """Write policies and a checkpoint; if that fails, say so and continue."""
         try:
-            self.save(standing)
+            self.save(training)
         except OSError as error:
             self._saved = time.monotonic()
             print(
                 f"no checkpoint written ({error.strerror}); the one before stays, "
-                "and training goes on",
+                "and training continues",
                 file=sys.stderr,
             )
 
-    def save(self, standing: Standing) -> None:
+    def save(self, training: TrainingProgress) -> None:
         """Write policies and a checkpoint.
 
         Raises:
             OSError: they cannot be written.
         """
         for run, policy in zip(
-            self._group.runs, _policies(self._group, standing.state), strict=True
+            self._group.runs, _policies(self._group, training.state), strict=True
         ):
             self._directory.write_policy(run, policy)
         checkpoints = self._directory.path / "checkpoints"
-        save_checkpoint(checkpoints, self._index, standing, self._config)
+        save_checkpoint(checkpoints, self._index, training, self._config)
         self._saved = time.monotonic()
 
-    def _improves(self, row: dict[str, Any]) -> bool:
+    def _improves(self, row: Row) -> bool:
         """Whether a row shows more success than all rows of its run before."""
         success = row["success_rate"] or 0.0
         better = success > self._best[row["run"]]
@@ -121,29 +120,29 @@ def _policies(group: Group, state: TrainingState) -> Iterator[dict[str, np.ndarr
 
 
 def _rows(
-    group: Group, facts: Sequence[dict[str, Any]], standing: Standing, metrics: Metrics
-) -> list[dict[str, Any]]:
+    group: Group, facts: Sequence[dict[str, Any]], training: TrainingProgress, metrics: Metrics
+) -> list[Row]:
     arrays = {name: np.asarray(value) for name, value in metrics.items()}
     failures = arrays.pop("failure")
     updates = group.settings.cycles_per_epoch * group.settings.updates_per_cycle
-    reported = _reported(group, standing.state)
-    return [
-        {
+    reported = _reported(group, training.state)
+    rows = []
+    for i, own in enumerate(facts):
+        failed = bool(failures[i])
+        values = {
             **own,
-            "epoch": standing.epoch,
-            "wall_s": round(standing.wall_s, 3),
+            "epoch": training.epoch,
+            "wall_s": round(training.wall_s, 3),
             **dict.fromkeys(MASK_METRICS),
             # A setting is what it is, whatever a curriculum reports under its name.
             **{name: values[i] for name, values in arrays.items() if name not in own},
             # A frozen agent counts no more updates, so that they tell when it failed.
-            "failed_epoch": int(arrays["updates"][i]) // updates + 1 if failures[i] else None,
-            "failure": describe_failure(int(failures[i]), standing.state.agent)
-            if failures[i]
-            else None,
+            "failed_epoch": int(arrays["updates"][i]) // updates + 1 if failed else None,
+            "failure": describe_failure(int(failures[i]), training.state.agent) if failed else None,
             "reported": reported,
         }
-        for i, own in enumerate(facts)
-    ]
+        rows.append(plain_row(values))
+    return rows
 
 
 MASK_METRICS = ("mask_rate_estimated", "mask_rate_training", "mask_probability", "mask_share")

@@ -1,12 +1,10 @@
 """The host loop: chunks of training on the device, files and progress in between."""
 
 import itertools
-import json
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
@@ -15,7 +13,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
 from cgm_jax.config.settings import Hyperparameters, Settings
-from cgm_jax.host.checkpoint import Standing, load_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
@@ -28,6 +26,7 @@ from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
+from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
 
@@ -109,7 +108,7 @@ def _check_counters(trainer: Trainer) -> None:
     """Refuse to train for longer than the int32 counters of a run can count.
 
     Raises:
-        SettingError: it would take 2^31 env_steps or updates.
+        SettingError: it would take 2^31 environment steps or updates.
     """
     settings, env = trainer.setup.settings, trainer.setup.env
     cycles = settings.epochs * settings.cycles_per_epoch
@@ -126,8 +125,8 @@ def run_jobs(
     progress: SweepProgress,
     interruption: Interruption,
     checkpoint_seconds: float,
-) -> list[dict[str, Any]] | None:
-    """Train all jobs one after another, each from where its last checkpoint stands.
+) -> list[Row] | None:
+    """Train all jobs one after another, each from its last checkpoint.
 
     Args:
         jobs: what to train.
@@ -147,68 +146,67 @@ def run_jobs(
     rows, last = [], []
     swept = swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
-        standing = _begin(job, index, directory)
-        _keep_lost_metrics(standing, index, directory, rows)
-        directory.replace_metrics(rows + standing.rows)
+        training = _begin(job, index, directory)
+        _keep_lost_metrics(training, index, directory, rows)
+        directory.replace_metrics(rows + training.rows)
         settings = job.group.settings
-        progress.skip(standing.epoch * settings.cycles_per_epoch + standing.cycle)
-        recorder = Recorder(directory, job.group, index, standing.rows, checkpoint_seconds, swept)
-        if not _train(job, standing, recorder, progress, interruption):
+        progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
+        recorder = Recorder(directory, job.group, index, training.rows, checkpoint_seconds, swept)
+        if not _train(job, training, recorder, progress, interruption):
             return None
-        progress.skip((settings.epochs - standing.epoch) * settings.cycles_per_epoch)
-        rows += standing.rows
-        last += [json.loads(line) for line in standing.rows[-len(job.group.runs) :]]
+        progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
+        rows += training.rows
+        last += training.rows[-len(job.group.runs) :]
     return last
 
 
-def _begin(job: Job, index: int, directory: RunDirectory) -> Standing:
-    """Where a job's last checkpoint stands, or its beginning."""
+def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
+    """A job's last checkpoint, or its beginning."""
     hyper = job.group.hyper()
     like = jax.eval_shape(job.programs.start, hyper)
-    standing, notes = load_checkpoint(directory.path / "checkpoints", index, like)
-    if standing is not None:
+    training, notes = load_checkpoint(directory.path / "checkpoints", index, like)
+    if training is not None:
         try:
-            standing.rows = _renamed(standing.rows, job.group)
+            training.rows = _renamed(training.rows, job.group)
         except (KeyError, TypeError) as error:
             raise SettingError(f"resume: a checkpoint holds rows of other runs: {error}") from None
-    where = f"after epoch {standing.epoch}" if standing else "from the beginning"
+    where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
-        print(f"{note}; going on {where}", file=sys.stderr)
-    if standing is None:
+        print(f"{note}; {where}", file=sys.stderr)
+    if training is None:
         with device_errors():
-            standing = Standing(jax.block_until_ready(job.programs.start(hyper)))
-    return standing
+            training = TrainingProgress(jax.block_until_ready(job.programs.start(hyper)))
+    return training
 
 
-def _renamed(rows: Sequence[str], group: Group) -> list[str]:
-    """Lines of metrics.jsonl with the names of today for own code: its files may have moved."""
+def _renamed(rows: Sequence[Row], group: Group) -> list[Row]:
+    """Rows with the names of today for own code: its files may have moved."""
     now = {
         run.name: {kind: run.values[kind] for kind in NAMES if kind in run.values}
         for run in group.runs
     }
     renamed = []
-    for line in rows:
-        row = json.loads(line)
+    for row in rows:
         names = {kind: name for kind, name in now[row["run"]].items() if kind in row}
         if not isinstance(row["success_rate"], int | float | None):
             raise TypeError(f"a success rate of {row['success_rate']!r}")
-        renamed.append(line if row == row | names else json.dumps(row | names) + "\n")
+        renamed.append(row | names)
     return renamed
 
 
 def _keep_lost_metrics(
-    standing: Standing, index: int, directory: RunDirectory, rows: Sequence[str]
+    training: TrainingProgress, index: int, directory: RunDirectory, rows: Sequence[Row]
 ) -> None:
     """Say that a group begins anew, and set metrics aside that would be lost by that.
 
     Args:
-        standing: where the group stands.
+        training: how far the group has trained.
         index: its number.
         directory: what an earlier process has written, if there was one.
         rows: what groups before this one have written.
     """
     lines = directory.count_metrics()
-    if standing.epoch or standing.cycle or lines is None or (index and lines <= len(rows)):
+    if training.epoch or training.cycle or lines is None or (index and lines <= len(rows)):
         return
     note = f"no checkpoint of group {index}: it begins anew"
     if lines > len(rows):
@@ -218,71 +216,70 @@ def _keep_lost_metrics(
 
 def _train(
     job: Job,
-    standing: Standing,
+    training: TrainingProgress,
     recorder: Recorder,
     progress: SweepProgress,
     interruption: Interruption,
 ) -> bool:
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
     settings, programs, hyper = job.group.settings, job.programs, job.group.hyper()
-    began, pace = time.monotonic() - standing.wall_s, Pace()
+    began, pace = time.monotonic() - training.wall_s, Pace()
     with watchdog() as something_happened:
-        while not _is_finished(job.group, standing):
-            if standing.cycle < settings.cycles_per_epoch:
-                _train_chunk(programs, standing, hyper, pace, progress)
-                standing.wall_s = time.monotonic() - began
+        while not _is_finished(job.group, training):
+            if training.cycle < settings.cycles_per_epoch:
+                _train_chunk(programs, training, hyper, pace, progress)
+                training.wall_s = time.monotonic() - began
             else:
-                metrics = _close_epoch(programs, standing, hyper)
-                standing.wall_s = time.monotonic() - began
-                progress.epoch(standing.epoch, recorder.record_epoch(standing, metrics))
+                metrics = _close_epoch(programs, training, hyper)
+                training.wall_s = time.monotonic() - began
+                progress.epoch(training.epoch, recorder.record_epoch(training, metrics))
             something_happened()
-            if _is_finished(job.group, standing):
-                recorder.save(standing)
+            if _is_finished(job.group, training):
+                recorder.save(training)
             elif interruption.requested:
-                recorder.try_to_save(standing)
+                recorder.try_to_save(training)
                 return False
             else:
-                recorder.save_if_due(standing)
+                recorder.save_if_due(training)
             interruption.expendable = False  # as it was during the first chunk, which compiles
     interruption.expendable = True
     return not interruption.requested
 
 
-def _is_finished(group: Group, standing: Standing) -> bool:
+def _is_finished(group: Group, training: TrainingProgress) -> bool:
     """Whether all epochs are done, or all runs hold the success at which they may leave."""
     settings = group.settings
-    if standing.cycle > 0 or settings.leave_at is None:
-        return standing.epoch >= settings.epochs
-    if not 0 < standing.epoch < settings.epochs:
-        return standing.epoch > 0
+    if training.cycle > 0 or settings.leave_at is None:
+        return training.epoch >= settings.epochs
+    if not 0 < training.epoch < settings.epochs:
+        return training.epoch > 0
     runs = len(group.runs)
-    recent = standing.rows[-HOLDING_EVALUATIONS * runs :]
-    rates = [json.loads(line)["success_rate"] for line in recent]
+    rates = [row["success_rate"] for row in training.rows[-HOLDING_EVALUATIONS * runs :]]
     return all(holds(rates[i::runs], settings.leave_at) for i in range(runs))
 
 
 def _train_chunk(
     programs: Programs,
-    standing: Standing,
+    training: TrainingProgress,
     hyper: Hyperparameters,
     pace: Pace,
     progress: SweepProgress,
 ) -> None:
     trainer = programs.trainer
     settings, env = trainer.setup.settings, trainer.setup.env
-    cycles = pace.next_chunk(settings.cycles_per_epoch - standing.cycle)
+    cycles = pace.next_chunk(settings.cycles_per_epoch - training.cycle)
     began = time.monotonic()
     with device_errors():
-        standing.state = jax.block_until_ready(programs.train(standing.state, hyper, cycles))
+        training.state = jax.block_until_ready(programs.train(training.state, hyper, cycles))
     seconds = time.monotonic() - began
     pace.record(cycles, seconds)
-    standing.cycle += cycles
+    training.cycle += cycles
     steps_per_cycle = settings.environments * env.episode_length
     progress.advance(cycles, cycles * steps_per_cycle * len(np.asarray(hyper.seed)), seconds)
 
 
-def _close_epoch(programs: Programs, standing: Standing, hyper: Hyperparameters) -> Metrics:
+def _close_epoch(programs: Programs, training: TrainingProgress, hyper: Hyperparameters) -> Metrics:
     with device_errors():
-        standing.state, metrics = jax.block_until_ready(programs.evaluate(standing.state, hyper))
-    standing.epoch, standing.cycle = standing.epoch + 1, 0
+        training.state, metrics = jax.block_until_ready(programs.evaluate(training.state, hyper))
+    training.epoch, training.cycle = training.epoch + 1, 0
     return metrics

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # runner imports JAX
 
 
 def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] | None) -> int:
-    """Train groups of runs, from the beginning or from where their directory stands.
+    """Train groups of runs, from the beginning or from where they were stopped.
 
     Args:
         options: where to, and how often to write checkpoints.
@@ -66,7 +66,7 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
                 return _train(jobs, directory, interruption, options.checkpoint_seconds)
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            print(_how_to_go_on(out), file=sys.stderr)
+            print(_how_to_resume(out), file=sys.stderr)
             return ExitCode.CANNOT_WRITE
 
 
@@ -130,7 +130,7 @@ def _merged(groups: Sequence[Group]) -> list[Group]:
 def _notes_on_resuming(
     directory: RunDirectory, device: str, groups: Sequence[Group], moved: Mapping[str, str]
 ) -> list[str]:
-    notes = ["going on where it was stopped"]
+    notes = ["resuming where it was stopped"]
     if changed := directory.changes_since_begun(device, groups, moved):
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
         directory.record_resumption(changed, moved)
@@ -153,10 +153,10 @@ def _train(
             rows = run_jobs(jobs, directory, progress, interruption, checkpoint_seconds)
     except DeviceError as error:
         print(f"error: {error}", file=sys.stderr)
-        print(_how_to_go_on(directory.path), file=sys.stderr)
+        print(_how_to_resume(directory.path), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:
-        print(f"stopped; {_how_to_go_on(directory.path)}", file=sys.stderr)
+        print(f"stopped; {_how_to_resume(directory.path)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
@@ -189,5 +189,5 @@ def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
     return ExitCode.DIVERGED if diverged or dropped else ExitCode.DONE
 
 
-def _how_to_go_on(out: Path) -> str:
-    return f"to go on: {shell_command('cgm_jax.sweep', '--resume', out)}"
+def _how_to_resume(out: Path) -> str:
+    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out)}"

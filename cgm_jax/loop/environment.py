@@ -53,5 +53,5 @@ def _from_file(name: str) -> GoalEnvironment:
     factory = load_named("env", name)
     with user_code("env", name):
         env = factory()
-    # A Fetch environment with other values checks itself, and can be filmed as it is.
+    # A Fetch environment with other values checks itself, and can be rendered as it is.
     return env if isinstance(env, FetchEnvironment) else checked(env, name)

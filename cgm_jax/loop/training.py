@@ -105,6 +105,6 @@ def make_programs(trainer: Trainer) -> Programs:
 
 
 def compilations(programs: Programs) -> int:
-    """How many programs XLA has compiled so far; at most three however long training goes on."""
+    """How many programs XLA has compiled so far; at most three however long training lasts."""
     jitted = (programs.start, programs.train, programs.evaluate)
     return sum(program._cache_size() for program in jitted)  # pyright: ignore

@@ -27,7 +27,7 @@ def measure_rollouts(repeats: int) -> list[Figure]:
                     "",
                     low=0.85 if simulations == 64 else None,
                 ),
-                Figure("  through the scan", steps / scan, "env_steps/s"),
+                Figure("  through the scan", steps / scan, "environment steps/s"),
             ]
     return figures
 

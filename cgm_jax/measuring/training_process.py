@@ -136,7 +136,7 @@ class TrainingProcess:
             if size != seen and (rows := self._rows()):
                 if rows[-1]["epoch"] > self._epoch:
                     return rows[-1]
-                if rows[-1]["epoch"] < self._epoch:  # it has gone on to other runs
+                if rows[-1]["epoch"] < self._epoch:  # it has moved on to other runs
                     self._give_up(ExitCode.DONE)
             seen = size
             time.sleep(POLL_SECONDS)

@@ -7,7 +7,7 @@ from cgm_jax.config.fields import SettingError
 AXES = "xyz"
 """Letters of the first goal dimensions, as `--mask` names them."""
 
-RANGES = {"episodes": (1, 10**6), "seed": (0, 2**31 - 1), "filmed": (0, 1000)}
+RANGES = {"episodes": (1, 10**6), "seed": (0, 2**31 - 1), "recorded": (0, 1000)}
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Plan:
         episodes: how many per policy. The first ones are the same for any number.
         seed: of starts and goals, the same for every policy.
         mask: goal axes that count as achieved, letters of `AXES`; "" is the full goal.
-        filmed: of how many episodes, the first ones, to keep every state.
+        recorded: of how many episodes, the first ones, to keep every state.
         engine: physics engine to use instead of the one in the settings, or None.
 
     Raises:
@@ -28,7 +28,7 @@ class Plan:
     episodes: int
     seed: int
     mask: str = ""
-    filmed: int = 0
+    recorded: int = 0
     engine: str | None = None
 
     def __post_init__(self) -> None:

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 """Is told how many episodes of how many are done, over all policies."""
 
-Result = tuple[jax.Array, jax.Array, "Film | None"]
-"""Successes, valid episodes, and the film."""
+Result = tuple[jax.Array, jax.Array, "Recording | None"]
+"""Successes, valid episodes, and the recording."""
 
 CHUNK_EPISODES = 256
 """Episodes that a policy plays in one call of the device, at most: seconds, so that progress shows
@@ -42,7 +42,7 @@ CHUNK_ROWS = 4096
 """Episodes over all policies in one such call."""
 
 
-class Film(struct.PyTreeNode):
+class Recording(struct.PyTreeNode):
     """Whole episodes of a Fetch environment, K of them.
 
     Attributes:
@@ -67,14 +67,14 @@ class Outcome:
         episodes: how many there were.
         valid: how many of them the physics held in; the others are dropped.
         successes: how many valid ones achieved the (masked) goal at their last step.
-        film: the filmed episodes, None where none were asked for.
+        recording: the recorded episodes, None where none were asked for.
     """
 
     env: GoalEnvironment
     episodes: int
     valid: int
     successes: int
-    film: Film | None
+    recording: Recording | None
 
     @property
     def success_rate(self) -> float:
@@ -143,13 +143,13 @@ def evaluate_random(
     """
     env = planned_environment(settings, plan)
 
-    def play(_: Any, chunk: Chunk, filmed: int) -> Result:
+    def play(_: Any, chunk: Chunk, recorded: int) -> Result:
         shape = (env.episode_length, len(chunk.keys), env.action_size)
         # The seed's own key draws starts and goals, as for every policy.
         key = jax.random.fold_in(jax.random.key(plan.seed), 1)
         key = jnp.where(chunk.start == 0, key, jax.random.fold_in(key, chunk.start))
         noise = draw_exploration(key, shape, Hyperparameters())
-        return _play(env, _random_policy, plan, chunk, filmed, noise)
+        return _play(env, _random_policy, plan, chunk, recorded, noise)
 
     (outcome,) = _play_all(env, play, {"none": np.zeros((1, 0))}, 1, plan, progress)
     return outcome
@@ -166,13 +166,13 @@ def planned_environment(settings: Settings, plan: Plan) -> GoalEnvironment:
     """Make the environment that `settings` names, if the plan fits it.
 
     Raises:
-        SettingError: it does not: a film of something other than Fetch, a mask with more
+        SettingError: it does not: a video of something other than Fetch, a mask with more
             dimensions than the goal.
     """
     if plan.engine is not None:
         settings = replace(settings, engine=plan.engine)
     env = make_environment(settings)
-    if plan.filmed and not isinstance(env, FetchEnvironment):
+    if plan.recorded and not isinstance(env, FetchEnvironment):
         raise SettingError(f"video: only the Fetch tasks can be rendered, not {settings.env}")
     size = _goal_size(env)
     if beyond := [axis for axis in plan.mask if AXES.index(axis) >= size]:
@@ -203,11 +203,11 @@ def _evaluate_group(
             raise SettingError(f"{path}: its layers are others than those of {first}")
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
 
-    def play(arrays: dict[str, jax.Array], chunk: Chunk, filmed: int) -> Result:
+    def play(arrays: dict[str, jax.Array], chunk: Chunk, recorded: int) -> Result:
         def policy(observation: jax.Array, goal: jax.Array, _: Exploration | None) -> jax.Array:
             return act(arrays, observation, goal, goal_mask(plan.mask, _goal_size(env)))
 
-        return _play(env, policy, plan, chunk, filmed)
+        return _play(env, policy, plan, chunk, recorded)
 
     outcomes = _play_all(env, play, stacked, len(group.runs), plan, progress)
     return {run.name: outcome for run, outcome in zip(group.runs, outcomes, strict=True)}
@@ -239,15 +239,15 @@ def _play_all(
 
     Args:
         env: what they play in.
-        play: one policy's chunk of episodes, of which so many are filmed.
+        play: one policy's chunk of episodes, of which so many are recorded.
         policies: what `play` takes, every leaf with a leading axis of policies.
         count: how many policies there are.
         plan: the episodes.
         progress: is told of every chunk of episodes.
     """
 
-    def play_side_by_side(policies: Any, chunk: Chunk, filmed: int) -> Result:
-        return jax.vmap(lambda policy: play(policy, chunk, filmed))(policies)
+    def play_side_by_side(policies: Any, chunk: Chunk, recorded: int) -> Result:
+        return jax.vmap(lambda policy: play(policy, chunk, recorded))(policies)
 
     program = jax.jit(play_side_by_side, static_argnums=2)
     size = min(plan.episodes, CHUNK_EPISODES)
@@ -257,19 +257,19 @@ def _play_all(
         here = min(width, count - first)
         rows = np.minimum(np.arange(first, first + width), count - 1)
         block = jax.tree.map(lambda leaf, rows=rows: leaf[rows], policies)
-        successes, valid, films = np.zeros(width, int), np.zeros(width, int), []
+        successes, valid, recordings = np.zeros(width, int), np.zeros(width, int), []
         for chunk in _chunks(plan, size):
             start = int(chunk.start)
-            filmed = min(max(0, plan.filmed - start), size)
-            successful, held, film = program(block, chunk, filmed)
+            recorded = min(max(0, plan.recorded - start), size)
+            successful, held, recording = program(block, chunk, recorded)
             successes += np.asarray(successful)
             valid += np.asarray(held)
-            films += [] if film is None else [jax.tree.map(np.asarray, film)]
+            recordings += [] if recording is None else [jax.tree.map(np.asarray, recording)]
             played = min(start + size, plan.episodes)
             progress(first * plan.episodes + here * played, count * plan.episodes)
         for i in range(here):
-            film = _join([jax.tree.map(lambda leaf, i=i: leaf[i], part) for part in films])
-            outcomes.append(Outcome(env, plan.episodes, int(valid[i]), int(successes[i]), film))
+            own = _join([jax.tree.map(lambda leaf, i=i: leaf[i], part) for part in recordings])
+            outcomes.append(Outcome(env, plan.episodes, int(valid[i]), int(successes[i]), own))
     return outcomes
 
 
@@ -290,29 +290,29 @@ def _play(
     policy: Policy,
     plan: Plan,
     chunk: Chunk,
-    filmed: int,
+    recorded: int,
     exploration: Exploration | None = None,
 ) -> Result:
-    """Successes, valid episodes, and the film of one policy's chunk of episodes."""
+    """Successes, valid episodes, and the recording of one policy's chunk of episodes."""
     mask = jnp.asarray(goal_mask(plan.mask, _goal_size(env)))
     first = jax.vmap(env.reset)(chunk.keys)
     goals = drawn_goals(env, first)
     goals = goals.replace(mask=jnp.broadcast_to(mask, goals.mask.shape))
 
     def keep(state: "State") -> PhysicsState | None:
-        return _first(filmed, state.pipeline_state) if filmed else None
+        return _first(recorded, state.pipeline_state) if recorded else None
 
     rollout = roll_out(env, policy, first, goals, exploration, keep=keep)
     valid = rollout.outcomes.valid & chunk.counted
-    film = _film(rollout, filmed) if filmed else None
-    return jnp.sum(valid & rollout.outcomes.success), jnp.sum(valid), film
+    recording = _recording(rollout, recorded) if recorded else None
+    return jnp.sum(valid & rollout.outcomes.success), jnp.sum(valid), recording
 
 
-def _join(parts: list[Film]) -> Film | None:
-    """One film of several, one after the other; None of none."""
+def _join(parts: list[Recording]) -> Recording | None:
+    """Recordings joined in order into one; None of none."""
     if not parts:
         return None
-    return Film(
+    return Recording(
         states=jax.tree.map(lambda *rows: np.concatenate(rows, 1), *(p.states for p in parts)),
         desired_goal=jnp.concatenate([part.desired_goal for part in parts]),
         achieved=jnp.concatenate([part.achieved for part in parts]),
@@ -320,10 +320,10 @@ def _join(parts: list[Film]) -> Film | None:
     )
 
 
-def _film(rollout: Rollout, count: int) -> Film:
+def _recording(rollout: Rollout, count: int) -> Recording:
     shown: Episodes = _first(count, rollout.episodes)
     goal, mask, threshold = (x[:, None] for x in (shown.desired_goal, shown.mask, shown.threshold))
-    return Film(
+    return Recording(
         states=rollout.record,
         desired_goal=shown.desired_goal,
         achieved=is_achieved(goal, mask, shown.achieved_goal, threshold),

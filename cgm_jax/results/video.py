@@ -1,4 +1,4 @@
-"""Films of Fetch episodes, as MP4 or GIF."""
+"""Videos of Fetch episodes, as MP4 or GIF."""
 
 import contextlib
 import errno
@@ -14,32 +14,34 @@ from PIL import Image
 
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
-from cgm_jax.results.policies import Film, goal_mask
+from cgm_jax.results.policies import Recording, goal_mask
 from cgm_jax.storage.files import PARTIAL
 
 HELD_FRAMES = 12
-"""The last picture of an episode stands for half a second, so that its outcome can be seen."""
+"""The last frame of an episode is held for half a second, so that its outcome can be seen."""
 
 GIF_COLOURS = 256
 
 
-def film_frames(env: FetchEnvironment, film: Film, mask: str, width: int) -> Iterator[np.ndarray]:
-    """Pictures [height, width, 3] of the valid episodes of a film, one after another.
+def video_frames(
+    env: FetchEnvironment, recording: Recording, mask: str, width: int
+) -> Iterator[np.ndarray]:
+    """Frames [height, width, 3] of the valid episodes of a recording, one after another.
 
     Args:
-        env: what was filmed.
-        film: whole episodes of it.
+        env: what was recorded.
+        recording: whole episodes of it.
         mask: masked axes, as `evaluation.Plan` has them.
-        width: of the picture, pixels; the height is three quarters of it.
+        width: of a frame, pixels; the height is three quarters of it.
 
     Raises:
         RenderingError: this machine cannot render.
     """
-    positions = env.physics.positions(film.states)
-    goals, achieved = np.asarray(film.desired_goal), np.asarray(film.achieved)
+    positions = env.physics.positions(recording.states)
+    goals, achieved = np.asarray(recording.desired_goal), np.asarray(recording.achieved)
     kept = goal_mask(mask, goals.shape[-1]).tolist()
     with Renderer(env.scene, env.distance_threshold, width, width * 3 // 4) as renderer:
-        for episode in np.flatnonzero(film.valid):
+        for episode in np.flatnonzero(recording.valid):
             for step, row in enumerate(positions[:, episode]):
                 reached = bool(achieved[episode, step])
                 frame = renderer.frame(row, goals[episode], achieved=reached, mask=kept)
@@ -47,17 +49,17 @@ def film_frames(env: FetchEnvironment, film: Film, mask: str, width: int) -> Ite
                 yield from [frame] * (HELD_FRAMES if last else 1)
 
 
-def count_frames(film: Film) -> int:
-    """How many pictures `film_frames` makes of a film."""
-    return int(np.sum(film.valid)) * (film.achieved.shape[1] - 1 + HELD_FRAMES)
+def count_frames(recording: Recording) -> int:
+    """How many frames `video_frames` makes of a recording."""
+    return int(np.sum(recording.valid)) * (recording.achieved.shape[1] - 1 + HELD_FRAMES)
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray]) -> None:
-    """Write pictures as a video in real time. It is whole or not there.
+    """Write frames as a video in real time. It is whole or not there.
 
     Args:
         path: where to; the suffix .mp4 or .gif decides the format. Is replaced if it exists.
-        frames: at least one picture [height, width, 3] uint8, all of one size; for MP4 both
+        frames: at least one [height, width, 3] uint8, all of one size; for MP4 both
             sides multiples of 16.
 
     Raises:
@@ -79,9 +81,9 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
     rest = iter(frames)
     first = next(rest)
     height, width, _ = first.shape
-    pictures = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {FRAMES_PER_SECOND} -i -"
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {FRAMES_PER_SECOND} -i -"
     encoding = "-an -c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart"
-    options = ["-y", "-loglevel", "error", *pictures.split(), *encoding.split(), str(path)]
+    options = ["-y", "-loglevel", "error", *source.split(), *encoding.split(), str(path)]
     # Not by imageio_ffmpeg's own writer: it forks, which JAX's threads do not bear.
     with subprocess.Popen(
         [imageio_ffmpeg.get_ffmpeg_exe(), *options],
@@ -100,17 +102,15 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
 
 
 def _write_gif(path: Path, frames: Iterable[np.ndarray]) -> None:
-    """One palette for all pictures, undithered: what stands still then costs nothing."""
-    pictures = [Image.fromarray(frame) for frame in frames]
-    palette = _palette(pictures)
-    first, *rest = [
-        picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
-    ]
+    """One palette for all frames, undithered: what does not move then costs nothing."""
+    images = [Image.fromarray(frame) for frame in frames]
+    palette = _palette(images)
+    first, *rest = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     first.save(path, save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
 
 
-def _palette(pictures: list[Image.Image]) -> Image.Image:
-    """A palette that serves the first picture, the last, and some between."""
-    chosen = pictures[:: max(1, len(pictures) // 8)] + pictures[-1:]
-    together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in chosen]))
+def _palette(images: list[Image.Image]) -> Image.Image:
+    """A palette that serves the first frame, the last, and some between."""
+    chosen = images[:: max(1, len(images) // 8)] + images[-1:]
+    together = Image.fromarray(np.concatenate([np.asarray(image) for image in chosen]))
     return together.quantize(GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=1)

@@ -1,6 +1,7 @@
 """What lies on the disk.
 
 run_directory.py  config.json, metrics.jsonl, policies; lock.py one sweep per directory
+metrics.py        rows of metrics: dicts in memory, lines of JSON in files
 checkpoints.py    checkpoints as files: finished, whole, and the config they carry
 formats.py        older formats of config.json
 policies.py       trained policies as plain arrays

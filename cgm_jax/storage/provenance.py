@@ -50,7 +50,7 @@ def provenance(device: str, own_names: Iterable[str]) -> dict[str, Any]:
 def changes(
     before: Mapping[str, Any], now: Mapping[str, Any], moved: Mapping[str, str]
 ) -> list[str]:
-    """What is another now than it was; what was not recorded then is left out.
+    """What differs now from then; what was not recorded then is left out.
 
     Args:
         before: as `provenance` returned it, though it may come from anybody.

@@ -14,7 +14,6 @@ symbolic link; and code that its config names runs only if the user has named it
 import contextlib
 import itertools
 import json
-import math
 import os
 import stat
 import sys
@@ -35,6 +34,7 @@ from cgm_jax.storage.checkpoints import restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.lock import HOLDER, LOCK, locked
+from cgm_jax.storage.metrics import Row, to_lines
 from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 METRICS = "metrics.jsonl"
@@ -201,7 +201,7 @@ class RunDirectory:
     def changes_since_begun(
         self, device: str, groups: Sequence[Group], moved: Mapping[str, str]
     ) -> list[str]:
-        """Whatever results depend on that is another than when the sweep began.
+        """What differs from when the sweep began, of all that results depend on.
 
         Args:
             device: what JAX computes on now.
@@ -252,23 +252,23 @@ class RunDirectory:
         text = str(error).partition("\n")[0]
         return SettingError(f"{self.path / CONFIG} is damaged: {kind}{text}")
 
-    def append_metrics(self, rows: Sequence[str]) -> None:
-        """Add lines to metrics.jsonl.
+    def append_metrics(self, rows: Sequence[Row]) -> None:
+        """Add rows to metrics.jsonl.
 
         Raises:
             OSError: they cannot be written.
         """
         with (self.path / METRICS).open("a", encoding="utf-8") as file:
-            file.writelines(rows)
+            file.write(to_lines(rows))
 
-    def replace_metrics(self, rows: Sequence[str]) -> None:
-        """Make these the only lines of metrics.jsonl.
+    def replace_metrics(self, rows: Sequence[Row]) -> None:
+        """Make these the only rows of metrics.jsonl.
 
         Raises:
             OSError: they cannot be written.
         """
         with replacing(self.path / METRICS, durable=True) as file:
-            file.writelines(row.encode() for row in rows)
+            file.write(to_lines(rows).encode())
 
     def count_metrics(self) -> int | None:
         """How many lines metrics.jsonl has, whole or torn; None if it is not there."""
@@ -287,8 +287,8 @@ class RunDirectory:
         path.replace(aside)
         return aside
 
-    def metrics(self) -> list[dict[str, Any]]:
-        """All lines of metrics.jsonl, less one that a killed process left half written."""
+    def metrics(self) -> list[Row]:
+        """All rows of metrics.jsonl, less one that a killed process left half written."""
         with (self.path / METRICS).open(encoding="utf-8") as file:
             return [json.loads(line) for line in file if line.endswith("\n")]
 
@@ -311,11 +311,6 @@ class RunDirectory:
             OSError: it cannot be written.
         """
         _write_npz(self.path / "policies/improvements" / f"{run.name}_epoch{epoch}.npz", arrays)
-
-
-def metrics_line(row: Mapping[str, Any]) -> str:
-    """A line of metrics.jsonl; a number that does not exist (0 / 0) becomes null."""
-    return json.dumps(_plain(dict(row))) + "\n"
 
 
 def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -368,8 +363,8 @@ def _check_name(name: Any) -> None:
     Raises:
         ValueError: it is not.
     """
-    sound = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
-    if not sound or not 0 < len(name.encode()) <= MAX_NAME:
+    valid = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
+    if not valid or not 0 < len(name.encode()) <= MAX_NAME:
         raise SettingError(f"run: {str(name)[:60]!r} is no name for a file")
 
 
@@ -396,19 +391,3 @@ def _check_parts(path: Path) -> None:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _plain(value: Any) -> Any:
-    """Arrays to lists and numbers, NaN and infinities to None."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        array = np.asarray(value)
-        if np.issubdtype(array.dtype, np.floating):  # float32 has seven digits
-            array = array.astype(np.float64).round(7)
-        return _plain(array.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

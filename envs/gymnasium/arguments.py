@@ -37,7 +37,7 @@ def check_render_mode(mode: str | None) -> None:
 
 
 def check_fields(fields: Mapping[str, Any]) -> None:
-    """Check the arguments that go on to `envs.make`.
+    """Check the arguments that are passed on to `envs.make`.
 
     Raises:
         TypeError: a value is no number.

@@ -143,7 +143,7 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
     def compute_terminated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any
     ) -> bool:
-        """False: the task goes on after the goal is achieved."""
+        """False: the task continues after the goal is achieved."""
         return False
 
     def compute_truncated(

@@ -24,7 +24,7 @@ class Frames:
 
         Raises:
             TypeError: a size is no integer.
-            ValueError: a picture of no size, or larger than the model's off-screen buffer.
+            ValueError: a frame of no size, or larger than the model's off-screen buffer.
         """
         check_size(programs.env.scene, width, height)
         self._programs, self._size = programs, (width, height)

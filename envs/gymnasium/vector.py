@@ -113,7 +113,7 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
 
         Args:
             seed: of the first row, the others counting on from there; or one for each row.
-                None goes on with the random numbers that the rows have.
+                None continues with the random numbers that the rows have.
             options: `reset_mask`, an array [n] of bool, restricts the reset and the seeds to its
                 rows; the others stay where they are.
 

@@ -106,9 +106,9 @@ class MjxPhysics:
             for stage in SENSOR_STAGES:
                 data = stage(self._model, data)
         # The limit at which C MuJoCo warns; NaN is not below it either.
-        sound = [(jnp.abs(x) < mujoco.mjMAXVAL).all() for x in (data.qpos, data.qvel)]
+        within = [(jnp.abs(x) < mujoco.mjMAXVAL).all() for x in (data.qpos, data.qvel)]
         return PhysicsState(
             engine_state=Motion(data.qpos, data.qvel, data.qacc_warmstart),
             sensors=data.sensordata,
-            warnings=jnp.where(jnp.stack(sound).all(), 0, 1).astype(jnp.int32),
+            warnings=jnp.where(jnp.stack(within).all(), 0, 1).astype(jnp.int32),
         )

@@ -17,7 +17,7 @@ class PhysicsState(struct.PyTreeNode):
     """State of one simulation, a pytree that can be scanned, vmapped and stored.
 
     Attributes:
-        engine_state: whatever the engine needs to go on exactly where it was.
+        engine_state: whatever the engine needs to resume exactly where it was.
         sensors: sensor data [nsensordata], current with the state.
         warnings: number of physics warnings in the last advance (bad state, divergence), an
             int32 scalar. Above 0 the state is not to be trusted.

@@ -71,7 +71,8 @@ def learning_speed(runs: Runs) -> list[Row]:
 
     Of every seed the environment steps, and the seconds where it trained alone; a dash where it
     never holds the level. Medians and quartiles are interpolated; a dash where they lie between a
-    run that arrived and one that did not. Empty is what lies beyond the success at which runs left.
+    run that arrived and one that did not. Empty is what lies beyond the success at which runs
+    stopped early.
     """
     table = []
     for setting, seeds in runs_by_setting(runs).items():

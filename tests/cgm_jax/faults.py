@@ -119,10 +119,10 @@ def run_sequence(seed: int, folder: Path, whole: Path) -> Iterator[Step]:
 
 def _possible(out: Path, draw: random.Random) -> list[str]:
     """Faults of files from which there is a way back: one whole checkpoint or config stays."""
-    sound = sum(damage(path) is None for path in finished_checkpoints(out / "checkpoints"))
+    whole = sum(damage(path) is None for path in finished_checkpoints(out / "checkpoints"))
     config = out / "config.json"
-    possible = [fault for fault in TO_FILES if fault != "cut config" or sound]
-    if sound < 2 and not config.read_bytes().endswith(b"}\n"):
+    possible = [fault for fault in TO_FILES if fault != "cut config" or whole]
+    if whole < 2 and not config.read_bytes().endswith(b"}\n"):
         possible = ["cut metrics", "moved"]
     return draw.sample(possible, len(possible))
 

@@ -1,4 +1,4 @@
-"""Evaluation of policies whose behaviour is known, and films of it."""
+"""Evaluation of policies whose behaviour is known, and videos of it."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -24,7 +24,7 @@ from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.results import policies
 from cgm_jax.results.plan import Plan
-from cgm_jax.results.policies import Film, Outcome, evaluate_directory, evaluate_random
+from cgm_jax.results.policies import Outcome, Recording, evaluate_directory, evaluate_random
 from cgm_jax.results.video import write_video
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
@@ -55,12 +55,12 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunDirectory
         yield directory
 
 
-def grips(film: Film) -> np.ndarray:
-    """Positions [T + 1, K, 3] of the grip, by MuJoCo itself from the filmed states."""
+def grips(recording: Recording) -> np.ndarray:
+    """Positions [T + 1, K, 3] of the grip, by MuJoCo itself from the recorded states."""
     env = make_environment(REACH)
     assert isinstance(env, FetchEnvironment)
     data = mujoco.MjData(env.scene.model)
-    positions = env.physics.positions(film.states)
+    positions = env.physics.positions(recording.states)
     grips = []
     for row in positions.reshape(-1, positions.shape[-1]):
         data.qpos[:] = row
@@ -69,38 +69,38 @@ def grips(film: Film) -> np.ndarray:
     return np.reshape(grips, (*positions.shape[:-1], 3))
 
 
-def test_success_is_that_of_the_policies_and_films_show_their_states(
+def test_success_is_that_of_the_policies_and_recordings_show_their_states(
     directory: RunDirectory,
 ) -> None:
-    outcomes = evaluate_directory(directory, Plan(episodes=40, seed=3, filmed=25))
+    outcomes = evaluate_directory(directory, Plan(episodes=40, seed=3, recorded=25))
     assert list(outcomes) == ["still", "straight"]
     straight, still = outcomes["straight"], outcomes["still"]
     assert (straight.valid, straight.successes) == (40, 40)
     assert still.successes < 15
-    assert straight.film is not None
-    goals = np.asarray(straight.film.desired_goal)
-    distance = np.linalg.norm(grips(straight.film) - goals, axis=-1)
+    assert straight.recording is not None
+    goals = np.asarray(straight.recording.desired_goal)
+    distance = np.linalg.norm(grips(straight.recording) - goals, axis=-1)
     assert distance.shape == (51, 25)
-    np.testing.assert_array_equal(straight.film.achieved, distance.T < 0.05)
+    np.testing.assert_array_equal(straight.recording.achieved, distance.T < 0.05)
 
 
 def test_success_under_a_mask_is_that_of_the_kept_axes(directory: RunDirectory) -> None:
-    plan = Plan(episodes=60, seed=3, mask="xz", filmed=60)
+    plan = Plan(episodes=60, seed=3, mask="xz", recorded=60)
     still = evaluate_directory(directory, plan, only="still")["still"]
-    assert still.film is not None
-    offset = grips(still.film)[-1] - np.asarray(still.film.desired_goal)
+    assert still.recording is not None
+    offset = grips(still.recording)[-1] - np.asarray(still.recording.desired_goal)
     achieved = np.abs(offset[:, 1]) < 0.05
     assert still.successes == achieved.sum()
     assert 5 < achieved.sum() < 40
-    np.testing.assert_array_equal(still.film.achieved[:, -1], achieved)
+    np.testing.assert_array_equal(still.recording.achieved[:, -1], achieved)
     everything = evaluate_directory(directory, Plan(episodes=9, seed=3, mask="yxz"), "still")
     assert everything["still"].successes == 9
 
 
 def test_random_actions_are_uniform_and_follow_the_seed() -> None:
-    first = evaluate_random(REACH, Plan(episodes=30, seed=0, filmed=30)).film
-    again = evaluate_random(REACH, Plan(episodes=30, seed=0, filmed=30)).film
-    other = evaluate_random(REACH, Plan(episodes=30, seed=1, filmed=30)).film
+    first = evaluate_random(REACH, Plan(episodes=30, seed=0, recorded=30)).recording
+    again = evaluate_random(REACH, Plan(episodes=30, seed=0, recorded=30)).recording
+    other = evaluate_random(REACH, Plan(episodes=30, seed=1, recorded=30)).recording
     assert first is not None
     assert again is not None
     assert other is not None
@@ -115,7 +115,7 @@ def test_random_actions_are_uniform_and_follow_the_seed() -> None:
 def test_chunks_do_not_change_what_is_found(
     directory: RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = Plan(episodes=50, seed=3, filmed=45)
+    plan = Plan(episodes=50, seed=3, recorded=45)
     whole = evaluate_directory(directory, plan)
     told: list[tuple[int, int]] = []
     monkeypatch.setattr(policies, "CHUNK_EPISODES", 20)
@@ -125,12 +125,12 @@ def test_chunks_do_not_change_what_is_found(
     assert list(whole) == list(cut)
     for name, outcome in whole.items():
         assert (outcome.valid, outcome.successes) == (cut[name].valid, cut[name].successes)
-        film, again = outcome.film, cut[name].film
-        assert film is not None
+        recording, again = outcome.recording, cut[name].recording
+        assert recording is not None
         assert again is not None
-        np.testing.assert_array_equal(film.desired_goal, again.desired_goal)
-        np.testing.assert_array_equal(film.achieved, again.achieved)
-        assert film.states.sensors.shape == again.states.sensors.shape
+        np.testing.assert_array_equal(recording.desired_goal, again.desired_goal)
+        np.testing.assert_array_equal(recording.achieved, again.achieved)
+        assert recording.states.sensors.shape == again.states.sensors.shape
 
 
 @pytest.mark.parametrize(("field", "value"), [("episodes", 0), ("seed", -1), ("mask", "xx")])
@@ -160,9 +160,9 @@ def test_ctrl_c_ends_an_evaluation_that_shows_how_far_it_is() -> None:
 def test_dropped_episodes_and_masks_are_said() -> None:
     env = make_environment(REACH)
     outcomes = {
-        "some": Outcome(env, episodes=10, valid=8, successes=4, film=None),
-        "none": Outcome(env, episodes=10, valid=0, successes=0, film=None),
-        "all": Outcome(env, episodes=10, valid=10, successes=10, film=None),
+        "some": Outcome(env, episodes=10, valid=8, successes=4, recording=None),
+        "none": Outcome(env, episodes=10, valid=0, successes=0, recording=None),
+        "all": Outcome(env, episodes=10, valid=10, successes=10, recording=None),
     }
     assert _report(outcomes, "xz") == [
         "some   50.0 %  (95 %: 21.5 to 78.5, 8 episodes, goals with x and z masked, "
@@ -176,7 +176,7 @@ def test_dropped_episodes_and_masks_are_said() -> None:
 
 
 @pytest.mark.skipif(not can_render(), reason="this machine has no off-screen rendering")
-def test_the_program_films_the_best_run(
+def test_the_program_records_the_best_run(
     directory: RunDirectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "out.gif"
@@ -184,12 +184,12 @@ def test_the_program_films_the_best_run(
     assert main([str(directory.path), *options, "--video-width", "64", "--mask", "y"]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
     assert line == f"{path}: 1 episode of straight, the best of 2; the goal is achieved in 1"
-    with Image.open(path) as film:
-        assert film.size == (64, 48)
+    with Image.open(path) as video:
+        assert video.size == (64, 48)
         durations = []
-        for frame in range(film.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
-            film.seek(frame)
-            durations.append(film.info["duration"])
+        for frame in range(video.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
+            video.seek(frame)
+            durations.append(video.info["duration"])
     # 51 states, of which the last stands for 12 frames.
     assert sum(durations) == (51 + 11) * 40
 
@@ -198,17 +198,17 @@ COLOURS = np.array([[200, 30, 30], [30, 160, 30], [30, 30, 200]], np.uint8)
 
 
 @pytest.mark.parametrize("suffix", ["gif", "mp4"])
-def test_videos_hold_the_pictures_in_real_time(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"film.{suffix}"
+def test_videos_hold_the_frames_in_real_time(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"video.{suffix}"
     frames = [np.broadcast_to(colour, (48, 64, 3)) for colour in COLOURS for _ in range(25)]
     write_video(path, iter(frames))
     if suffix == "gif":
-        with Image.open(path) as film:
+        with Image.open(path) as video:
             shown = []
-            for frame in range(film.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
-                film.seek(frame)
-                colour = np.asarray(film.convert("RGB"))[20, 30]
-                shown += [colour] * (film.info["duration"] // 40)
+            for frame in range(video.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
+                video.seek(frame)
+                colour = np.asarray(video.convert("RGB"))[20, 30]
+                shown += [colour] * (video.info["duration"] // 40)
     else:
         decode = ["-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
         result = subprocess.run(

@@ -7,7 +7,7 @@ from cgm_jax.envs.rendering import RenderingError, check_rendering
 
 @functools.cache
 def can_render() -> bool:
-    """Whether a drawing surface can be had; tests of pictures are skipped where it cannot."""
+    """Whether a drawing surface can be had; rendering tests are skipped where it cannot."""
     try:
         check_rendering()
     except RenderingError:

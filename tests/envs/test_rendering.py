@@ -70,9 +70,9 @@ def test_positions_are_those_that_a_simulation_was_started_at() -> None:
     np.testing.assert_array_equal(actual, rows.astype(np.float32))
 
 
-def share(picture: np.ndarray, colour: str) -> float:
+def share(frame: np.ndarray, colour: str) -> float:
     """Share of pixels that are clearly of a colour; the scene has no red or green of its own."""
-    red, green, blue = (picture[..., i].astype(int) for i in range(3))
+    red, green, blue = (frame[..., i].astype(int) for i in range(3))
     if colour == "green":
         return float(np.mean((green > red + 50) & (green > blue + 50)))
     return float(np.mean((red > green + 90) & (red > blue + 50)))
@@ -109,6 +109,6 @@ def test_the_arm_is_drawn_where_it_is(reach: Scene) -> None:
     assert not changed[-20:].any()  # the table's front and the floor
 
 
-def test_pictures_larger_than_the_buffer_are_refused(reach: Scene) -> None:
+def test_frames_larger_than_the_buffer_are_refused(reach: Scene) -> None:
     with pytest.raises(ValueError, match=r"width: 1281 is not within \[1, 1280\]"):
         Renderer(reach, 0.05, 1281, 480)

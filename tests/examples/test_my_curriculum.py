@@ -61,9 +61,9 @@ def test_it_trains_stops_and_resumes_by_the_command_line(
     )
     record = recorder.Recorder.record_epoch
 
-    def stop(self: Any, standing: Any, metrics: Any) -> Any:
+    def stop(self: Any, training: Any, metrics: Any) -> Any:
         os.kill(os.getpid(), signal.SIGTERM)
-        return record(self, standing, metrics)
+        return record(self, training, metrics)
 
     out = tmp_path / "out"
     arguments = [*OPTIONS, "--set", "gain=0.5,0.7", "--out", str(out)]

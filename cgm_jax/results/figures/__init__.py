@@ -1,6 +1,6 @@
 """Figures of a sweep, drawn from its metrics.jsonl alone.
 
-curves.py      learning_curves.png: success over env_steps, median and quartiles over seeds
+curves.py      learning_curves.png: success over environment steps, median and quartiles over seeds
 half.py        epochs_to_half.png: epochs until 50 % is held over c_g (the paper's Fig. 3)
 masks.py       mask_success.png: estimated and training success per mask (the paper's Fig. 5)
 curriculum.py  curriculum.png: what curricula report of themselves

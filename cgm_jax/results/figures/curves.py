@@ -21,12 +21,12 @@ QUARTILES = (25, 50, 75)
 
 
 def learning_curves(rows: Rows) -> Figure:
-    """Success rate over env_steps.
+    """Success rate over environment steps.
 
     A line per value of one setting (see `layout.colour_setting`), panels for the others. A cross
     marks where a run diverged; from there on its curve is that of its last finite policy. Where
-    some runs of a line ended before others, the others go on as thin lines, since a median of those
-    alone would be one of the worst, or of the best.
+    some runs of a line ended before others, the others continue as thin lines, since a median of
+    those alone would be one of the worst, or of the best.
 
     Raises:
         ValueError: runs differ in what no row tells.

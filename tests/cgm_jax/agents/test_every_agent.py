@@ -13,7 +13,7 @@ import pytest
 from cgm_jax.config.components import ROOMS, builtin, component
 from cgm_jax.config.fields import SettingError, declared
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.divergence import MAX_WEIGHT, describe_failure
 from cgm_jax.loop.training import compilations
 from tests.cgm_jax.agents.oracle import SIZES, example_batch
@@ -77,15 +77,15 @@ def test_a_checkpoint_gives_every_bit_back_and_training_resumes_from_it(
     agent: str, tmp_path: Path
 ) -> None:
     run = trained(agent)
-    save_checkpoint(tmp_path, 0, Standing(run.first, epoch=1))
+    save_checkpoint(tmp_path, 0, TrainingProgress(run.first, epoch=1))
     like = jax.eval_shape(run.programs.start, run.hyper)
-    standing, notes = load_checkpoint(tmp_path, 0, like)
-    assert standing is not None
+    training, notes = load_checkpoint(tmp_path, 0, like)
+    assert training is not None
     assert not notes
-    assert jax.tree.structure(standing.state) == jax.tree.structure(run.first)
-    for x, y in zip(bits(standing.state), bits(run.first), strict=True):
+    assert jax.tree.structure(training.state) == jax.tree.structure(run.first)
+    for x, y in zip(bits(training.state), bits(run.first), strict=True):
         np.testing.assert_array_equal(x, y)
-    state = run.programs.train(standing.state, run.hyper, 2)
+    state = run.programs.train(training.state, run.hyper, 2)
     state, _ = run.programs.evaluate(state, run.hyper)
     for x, y in zip(bits(on_host(state)), bits(run.second), strict=True):
         np.testing.assert_array_equal(x, y)

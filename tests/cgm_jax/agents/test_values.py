@@ -67,7 +67,7 @@ def test_values_of_reachable_goals_are_those_of_the_optimal_policy(agent: str) -
     hyper = settings_of(agent)
     state = trained(hyper, REACHABLE)
     for goal in (1.0, -1.0):
-        # The optimum goes on to reach the goal for ever: 0; one detour costs one reward.
+        # The optimum continues to reach the goal for ever: 0; one detour costs one reward.
         np.testing.assert_allclose(values(state, hyper, goal, goal), 0.0, atol=0.1)
         np.testing.assert_allclose(values(state, hyper, goal, -goal), -1.0, atol=0.1)
         assert float(hyper.agent.act(state.agent, inputs_of(state, goal))[0]) * goal > 0.5

@@ -14,7 +14,7 @@ from cgm_jax.config.fields import Field, SettingError, declared, stack
 from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
-from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.rollout import drawn_goals, reset
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, compilations, make_programs, make_trainer
@@ -222,13 +222,13 @@ def test_episodes_with_broken_physics_change_nothing(name: str) -> None:
 
 def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
     done = trained(name)
-    save_checkpoint(tmp_path, 0, Standing(done.state, epoch=2))
-    standing, notes = load_checkpoint(tmp_path, 0, done.start)
-    assert standing is not None
+    save_checkpoint(tmp_path, 0, TrainingProgress(done.state, epoch=2))
+    training, notes = load_checkpoint(tmp_path, 0, done.start)
+    assert training is not None
     assert not notes
-    assert_same(standing.state, done.state)
+    assert_same(training.state, done.state)
     hyper, copy = stack(done.runs), jax.tree.map(jnp.copy, done.state)
-    resumed = done.programs.train(standing.state, hyper, 1)
+    resumed = done.programs.train(training.state, hyper, 1)
     assert_same(resumed, done.programs.train(copy, hyper, 1))
     assert compilations(done.programs) == 3
 

@@ -13,7 +13,7 @@ import pytest
 
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.host import checkpoint
-from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
 from cgm_jax.storage.checkpoints import FORMAT
@@ -26,7 +26,7 @@ PROGRAMS = make_programs(
 )
 HYPER = stack([tiny(seed=0), tiny(seed=1)])
 LIKE = jax.eval_shape(PROGRAMS.start, HYPER)
-ROWS = ['{"run": "a"}\n', '{"run": "ä"}\n']
+ROWS = [{"run": "a", "success_rate": None}, {"run": "ä", "mask_share": [0.1, 0.5]}]
 
 
 @pytest.fixture(scope="module")
@@ -35,23 +35,23 @@ def state() -> TrainingState:
 
 
 def save(directory: Path, state: TrainingState, epoch: int, cycle: int = 0, group: int = 0) -> Path:
-    return save_checkpoint(directory, group, Standing(state, epoch, cycle, 12.5, ROWS))
+    return save_checkpoint(directory, group, TrainingProgress(state, epoch, cycle, 12.5, ROWS))
 
 
-def load(directory: Path) -> tuple[Standing, list[str]]:
-    standing, notes = load_checkpoint(directory, 0, LIKE)
-    assert standing is not None
-    return standing, notes
+def load(directory: Path) -> tuple[TrainingProgress, list[str]]:
+    training, notes = load_checkpoint(directory, 0, LIKE)
+    assert training is not None
+    return training, notes
 
 
 def test_a_checkpoint_holds_every_bit(tmp_path: Path, state: TrainingState) -> None:
     save(tmp_path, state, epoch=3, cycle=1)
-    standing, notes = load(tmp_path)
-    assert (standing.epoch, standing.cycle, standing.wall_s) == (3, 1, 12.5)
-    assert standing.rows == ROWS
+    training, notes = load(tmp_path)
+    assert (training.epoch, training.cycle, training.wall_s) == (3, 1, 12.5)
+    assert training.rows == ROWS
     assert notes == []
-    assert jax.tree.structure(standing.state) == jax.tree.structure(state)
-    leaves = zip(jax.tree.leaves(standing.state), jax.tree.leaves(state), strict=True)
+    assert jax.tree.structure(training.state) == jax.tree.structure(state)
+    leaves = zip(jax.tree.leaves(training.state), jax.tree.leaves(state), strict=True)
     for leaf, other in leaves:
         assert leaf.dtype == other.dtype
         assert leaf.aval == other.aval  # weak types would compile anew
@@ -63,6 +63,15 @@ def test_only_the_filled_part_of_the_replay_ring_is_stored(
 ) -> None:
     with np.load(save(tmp_path, state, epoch=1)) as file:
         assert file[".replay.episodes.mask"].shape == (2, 8, 2)
+
+
+def test_rows_are_stored_as_the_lines_of_metrics_jsonl(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    with np.load(save(tmp_path, state, epoch=1)) as file:
+        assert bytes(file["rows"]).decode() == (
+            '{"run": "a", "success_rate": null}\n{"run": "\\u00e4", "mask_share": [0.1, 0.5]}\n'
+        )
 
 
 def test_the_last_two_checkpoints_of_a_group_are_kept(tmp_path: Path, state: TrainingState) -> None:
@@ -104,8 +113,8 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(
     save(tmp_path, state, epoch=1)
     damaged = save(tmp_path, state, epoch=2)
     DAMAGE[kind](damaged)
-    standing, (note,) = load(tmp_path)
-    assert standing.epoch == 1
+    training, (note,) = load(tmp_path)
+    assert training.epoch == 1
     assert note.startswith(f"{damaged} is damaged (")
     assert not damaged.exists()  # set aside, so that it does not count as one of the two kept
     assert Path(f"{damaged}.damaged").exists()
@@ -117,8 +126,8 @@ def test_a_checkpoint_that_was_never_finished_does_not_count(
 ) -> None:
     save(tmp_path, state, epoch=1)
     save(tmp_path, state, epoch=2).with_suffix(".json").unlink()
-    standing, notes = load(tmp_path)
-    assert standing.epoch == 1
+    training, notes = load(tmp_path)
+    assert training.epoch == 1
     assert notes == []
 
 
@@ -207,6 +216,7 @@ def header(shape: tuple[int, ...], kind: str) -> bytes:
         (".replay.episodes.mask.npy", header((2, 81, 2), "<f4") + bytes(2 * 81 * 8)),
         ("position.npy", header((2,), "<i8") + b"\xff" * 16),
         ("rows.npy", header((1,), "|u1") + b"\xff"),  # no text
+        ("rows.npy", header((2,), "|u1") + b"[]"),  # no object
         ("wall_s.npy", b"nonsense"),
         ("more.npy", header((), "<f4") + bytes(4)),
     ],

@@ -201,10 +201,10 @@ def test_50_generated_config_files(
 
 
 CONTRADICTIONS = {
-    "--resume {} --c-g 0.1": "resume: goes on as it was begun, without c_g",
-    "--resume {} --out x": "resume: goes on as it was begun, without out",
-    "--resume {} --preset smoke": "resume: goes on as it was begun, without preset",
-    "--resume {} --seeds 3": "resume: goes on as it was begun, without seed",
+    "--resume {} --c-g 0.1": "resume: a sweep resumes as it was begun, without c_g",
+    "--resume {} --out x": "resume: a sweep resumes as it was begun, without out",
+    "--resume {} --preset smoke": "resume: a sweep resumes as it was begun, without preset",
+    "--resume {} --seeds 3": "resume: a sweep resumes as it was begun, without seed",
     "--resume {}": "holds no sweep: config.json is missing",
     "--resume {}/nowhere": "holds no sweep: config.json is missing",
     "--checkpoint-seconds -1": "checkpoint_seconds: -1.0 is not a finite number of at least 0",

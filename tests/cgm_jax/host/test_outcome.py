@@ -1,6 +1,5 @@
 """What a sweep says and returns at its end, whatever becomes of its figures."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +51,7 @@ def directory(tmp_path: Path) -> RunDirectory:
         **{"env_steps": 200, "success_rate": 0.5, "failed_epoch": None, "failure": None},
         **{"mask_rate_estimated": [0.5] * 8, "mask_rate_training": [0.5] * 8},
     }
-    directory.append_metrics([json.dumps(row) + "\n"])
+    directory.append_metrics([row])
     return directory
 
 

@@ -54,7 +54,7 @@ def test_a_bare_system_trains_stops_and_resumes_by_the_printed_command(tmp_path:
         text = process.stderr.read()
         assert process.wait(timeout=60) == 75, text
     assert text.isascii()
-    printed = text.splitlines()[-1].partition("to go on: ")[2]
+    printed = text.splitlines()[-1].partition("to resume: ")[2]
     with subprocess.Popen(
         [*shlex.split(printed.encode().decode("unicode_escape"))],
         stderr=subprocess.PIPE,
@@ -71,7 +71,7 @@ def test_a_bare_system_trains_stops_and_resumes_by_the_printed_command(tmp_path:
         process.send_signal(signal.SIGTERM)
         process.stderr.read()
         assert process.wait(timeout=60) == 75, said
-    assert "going on where it was stopped" in said
+    assert "resuming where it was stopped" in said
     assert not line.startswith("epoch 1:")
 
 

@@ -1,6 +1,5 @@
 """What a row of metrics.jsonl says of its run."""
 
-import json
 from typing import Any
 
 import jax
@@ -10,9 +9,8 @@ import numpy as np
 from cgm_jax.config.grid import Group, build_groups, swept_settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.host import recorder
-from cgm_jax.host.checkpoint import Standing
+from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results.figures import learning_curves
-from cgm_jax.storage.run_directory import metrics_line
 from tests.cgm_jax.results.figures.made import legend, panels, titles
 
 SIZES = Sizes(
@@ -48,10 +46,9 @@ def _rows_of(group: Group, swept: list[str]) -> list[dict[str, Any]]:
     metrics = {"env_steps": np.full(runs, 100), "success_rate": np.full(runs, 0.5), **counts}
     metrics |= {name: np.stack([value] * runs) for name, value in curriculum.report(state).items()}
     stacked = State(jax.tree.map(lambda leaf: jnp.stack([leaf] * runs), state))
-    standing = Standing(stacked, epoch=1)  # pyright: ignore[reportArgumentType]
+    training = TrainingProgress(stacked, epoch=1)  # pyright: ignore[reportArgumentType]
     facts = [recorder._facts(run, swept) for run in group.runs]
-    rows = recorder._rows(group, facts, standing, metrics)  # pyright: ignore[reportArgumentType]
-    return [json.loads(metrics_line(row)) for row in rows]
+    return recorder._rows(group, facts, training, metrics)  # pyright: ignore[reportArgumentType]
 
 
 def test_rows_tell_every_swept_setting_whatever_group_they_are_of() -> None:

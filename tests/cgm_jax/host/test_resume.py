@@ -42,7 +42,7 @@ MJX = """
 import dataclasses, pathlib, sys
 import jax, numpy as np
 from cgm_jax import envs
-from cgm_jax.host.checkpoint import Standing, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.training import make_programs, make_trainer
 from cgm_jax.config.fields import stack
@@ -68,9 +68,9 @@ def bits(tree):
 whole, metrics = epochs(programs.start(hyper), 4)
 half, first = epochs(programs.start(hyper), 2)
 directory, like = pathlib.Path(sys.argv[1]), jax.eval_shape(programs.start, hyper)
-save_checkpoint(directory, 0, Standing(half))
-standing, _ = load_checkpoint(directory, 0, like)
-again, second = epochs(standing.state, 2)
+save_checkpoint(directory, 0, TrainingProgress(half))
+training, _ = load_checkpoint(directory, 0, like)
+again, second = epochs(training.state, 2)
 assert bits(whole) == bits(again)
 assert bits(metrics) == bits(first + second)
 assert len(set(bits([entry["value"] for entry in metrics]))) == 4

@@ -34,7 +34,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, run_of
 from cgm_jax.config.settings import Settings
 from cgm_jax.host import recorder, runner, session
-from cgm_jax.host.checkpoint import Standing
+from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results import figures
 from cgm_jax.storage.lock import InUseError, locked
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
@@ -96,10 +96,10 @@ def at_epoch(monkeypatch: pytest.MonkeyPatch, epoch: int, action: Callable[[], A
     """Do something once, in the middle of training, before the rows of `epoch` are written."""
     record = recorder.Recorder.record_epoch
 
-    def recording(self: Any, standing: Any, metrics: Any) -> Any:
-        if standing.epoch == epoch:
+    def recording(self: Any, training: Any, metrics: Any) -> Any:
+        if training.epoch == epoch:
             action()
-        return record(self, standing, metrics)
+        return record(self, training, metrics)
 
     monkeypatch.setattr(recorder.Recorder, "record_epoch", recording)
 
@@ -110,7 +110,7 @@ def stop_at_epoch(monkeypatch: pytest.MonkeyPatch, epoch: int, out: Path, *optio
         assert train(out, *options) == 75
 
 
-def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
+def test_the_same_command_resumes_and_a_finished_sweep_stays_as_it_is(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -118,11 +118,11 @@ def test_the_same_command_goes_on_and_a_finished_sweep_stays_as_it_is(
     stop_at_epoch(monkeypatch, 2, out)
     monkeypatch.setattr(figures, "draw_figures", lambda _: None)
     command = f"{sys.executable} -m cgm_jax.sweep --resume {out}"
-    assert f"stopped; to go on: {command}" in capsys.readouterr().err
+    assert f"stopped; to resume: {command}" in capsys.readouterr().err
     assert len(rows(out)) == 2 * RUNS
     assert (out / "figures" / "learning_curves.png").is_file()
     assert train(out) == 0
-    assert "going on where it was stopped" in capsys.readouterr().err
+    assert "resuming where it was stopped" in capsys.readouterr().err
     assert_same_results(whole, out)
     before = {path: path.stat().st_mtime_ns for path in (out / "checkpoints").iterdir()}
     assert sweep.main(["--resume", str(out)]) == 0
@@ -173,17 +173,15 @@ def test_all_runs_side_by_side_must_hold_the_success(
     settings = Settings(epochs=9, leave_at=0.5)
     values = dataclasses.asdict(settings)
     group = Group(settings, tuple(run_of(name, values)[1] for name in "ab"))
-    lines = [
-        json.dumps({"success_rate": r}) for pair in zip(first, second, strict=True) for r in pair
-    ]
+    both = [{"success_rate": r} for pair in zip(first, second, strict=True) for r in pair]
     state: Any = None
-    standing = Standing(state, epoch=len(first), rows=lines)
-    assert runner._is_finished(group, standing) == finished
-    standing.cycle = 1  # in the middle of an epoch nothing is decided
-    assert not runner._is_finished(group, standing)
+    training = TrainingProgress(state, epoch=len(first), rows=both)
+    assert runner._is_finished(group, training) == finished
+    training.cycle = 1  # in the middle of an epoch nothing is decided
+    assert not runner._is_finished(group, training)
 
 
-def test_wall_s_goes_on_over_interruptions_and_jumps_of_the_clock(
+def test_wall_s_continues_over_interruptions_and_jumps_of_the_clock(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, jumps = tmp_path / "out", iter([4e9, 0.0, -1e9] * 10_000)
@@ -295,7 +293,7 @@ def test_a_full_disk_costs_checkpoints_but_not_the_training(
         assert train(out, *ALWAYS) == 74  # its last checkpoint must be written
     text = capsys.readouterr().err
     assert "no checkpoint written (File too large); the one before stays, and training" in text
-    assert f"error: cannot write to {out}: File too large\nto go on: " in text
+    assert f"error: cannot write to {out}: File too large\nto resume: " in text
     assert len(rows(out)) == EPOCHS * RUNS
     assert not list(out.rglob("*.partial"))
     assert list((out / "checkpoints").glob("*epoch000001*.json"))
@@ -375,7 +373,7 @@ def test_a_mujoco_error_in_the_callback_ends_with_its_message_and_can_go_on(
     error, advice = capsys.readouterr().err.splitlines()[-2:]
     assert error.startswith('error: FatalError: mj_stackAlloc: out of memory (File "')
     assert error.endswith(", in _advance)")
-    assert advice == f"to go on: {sys.executable} -m cgm_jax.sweep --resume {out}"
+    assert advice == f"to resume: {sys.executable} -m cgm_jax.sweep --resume {out}"
     assert train(out) == 0
     assert_same_results(whole, out)
 

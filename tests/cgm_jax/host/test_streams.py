@@ -1,4 +1,4 @@
-"""What programs write to may break in any way: the work goes on, and the exit code stays."""
+"""What programs write to may break in any way: the work continues, and the exit code stays."""
 
 import os
 import pty
@@ -153,7 +153,9 @@ def test_the_cursor_is_never_hidden_and_lines_do_not_wrap() -> None:
     code, text = output_of_progress(2, on_terminal=False)
     assert code == 75
     first, last = text.splitlines()
-    assert first.startswith("epoch 1: 1,000,000,000 env_steps, success median 50 % of 1 runs (50")
+    assert first.startswith(
+        "epoch 1: 1,000,000,000 environment steps, success median 50 % of 1 runs (50"
+    )
     assert len(first) > 80
     assert last == "stopped at once; the last complete checkpoint stays"
     assert "\x1b" not in text

@@ -61,12 +61,12 @@ def test_several_failures_are_named_in_order() -> None:
 
 
 def test_a_failed_run_stays_as_it_was_for_good() -> None:
-    sound, bad, later = agent(), spoilt("critic", jnp.nan), spoilt("actor", 0.5)
-    failure, kept = freeze_if_failed(jnp.int32(0), sound, later)
+    finite, bad, later = agent(), spoilt("critic", jnp.nan), spoilt("actor", 0.5)
+    failure, kept = freeze_if_failed(jnp.int32(0), finite, later)
     assert int(failure) == 0
     assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5
     for first, second in ((bad, later), (later, bad)):
-        failure, kept = freeze_if_failed(jnp.int32(0), sound, first)
+        failure, kept = freeze_if_failed(jnp.int32(0), finite, first)
         failure, kept = freeze_if_failed(failure, kept, second)
         assert int(failure) == CRITIC
     assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5  # the last finite one

@@ -123,7 +123,7 @@ def test_a_run_among_others_equals_the_run_alone() -> None:
     for i, run in enumerate(runs):
         alone, alone_metrics = epochs([run])
         for leaf, single in zip(bits(together), bits(alone), strict=True):
-            # Matrix products of another shape may round otherwise; nothing else differs.
+            # Matrix products of another shape may differ in the last bits; nothing else does.
             np.testing.assert_allclose(leaf[i], single[0], rtol=2e-4, atol=2e-5)
         for one, other in zip(together_metrics, alone_metrics, strict=True):
             np.testing.assert_allclose(

@@ -77,7 +77,7 @@ def test_the_process_ends_with_the_block(checkout: Checkout, tmp_path: Path) -> 
 def test_a_sweep_without_further_epochs_is_named(
     checkout: Checkout, tmp_path: Path, options: list[str]
 ) -> None:
-    # Also one that goes on to other runs, whose epochs count from one again.
+    # Also one that moves on to other runs, whose epochs count from one again.
     with training(checkout, tmp_path, *options) as process:
         process.train_epoch()
         process.train_epoch()

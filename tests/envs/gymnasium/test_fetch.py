@@ -164,7 +164,7 @@ def test_rendering_without_a_render_mode_warns_and_gives_nothing() -> None:
 
 
 @pytest.mark.skipif(not can_render(), reason="this machine has no off-screen rendering")
-def test_pictures_show_what_happens() -> None:
+def test_frames_show_what_happens() -> None:
     env = make("FetchPush", render_mode="rgb_array", width=160, height=120)
     env.reset(seed=0)
     first = env.render()
@@ -178,9 +178,9 @@ def test_pictures_show_what_happens() -> None:
 
     vector = make_vec("FetchPush", num_envs=2, render_mode="rgb_array", width=160, height=120)
     vector.reset(seed=0)
-    pictures = vector.render()
-    np.testing.assert_array_equal(pictures[0], first)
-    assert (pictures[0] != pictures[1]).any()
+    frames = vector.render()
+    np.testing.assert_array_equal(frames[0], first)
+    assert (frames[0] != frames[1]).any()
     vector.close()
 
 

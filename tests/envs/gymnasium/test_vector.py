@@ -51,9 +51,9 @@ def test_rows_of_the_vector_environment_are_single_environments_also_after_autor
 def test_one_row_whose_physics_breaks_is_reset_while_the_others_go_on() -> None:
     vector = make_vec("FetchReach", num_envs=2)
     before, _ = vector.reset(seed=0)
-    breaking, sound = broken(vector.state).pipeline_state, vector.state.pipeline_state
-    words = jnp.stack([sound.engine_state[0], breaking.engine_state[1]])
-    vector.state = vector.state.replace(pipeline_state=sound.replace(engine_state=words))
+    breaking, intact = broken(vector.state).pipeline_state, vector.state.pipeline_state
+    words = jnp.stack([intact.engine_state[0], breaking.engine_state[1]])
+    vector.state = vector.state.replace(pipeline_state=intact.replace(engine_state=words))
     actions = np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1))
     *_, truncated, infos = vector.step(actions)
     assert truncated.tolist() == [False, True]
