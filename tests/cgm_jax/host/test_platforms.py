@@ -54,7 +54,9 @@ def test_a_bare_system_trains_stops_and_resumes_by_the_printed_command(tmp_path:
         text = process.stderr.read()
         assert process.wait(timeout=60) == 75, text
     assert text.isascii()
-    printed = text.splitlines()[-1].partition("to resume: ")[2]
+    (printed,) = (
+        line.partition("to resume: ")[2] for line in text.splitlines() if "to resume" in line
+    )
     with subprocess.Popen(
         [*shlex.split(printed.encode().decode("unicode_escape"))],
         stderr=subprocess.PIPE,
