@@ -130,14 +130,15 @@ class TrainingProcess:
         """The last row of metrics.jsonl, once it is of a further epoch."""
         seen = 0
         while True:
-            if (code := self._process.poll()) is not None:
-                self._give_up(code)
+            code = self._process.poll()  # before the rows: the last of them may come with the end
             size = self._metrics.stat().st_size if self._metrics.exists() else 0
             if size != seen and (rows := self._rows()):
                 if rows[-1]["epoch"] > self._epoch:
                     return rows[-1]
                 if rows[-1]["epoch"] < self._epoch:  # it has moved on to other runs
                     self._give_up(ExitCode.DONE)
+            if code is not None:
+                self._give_up(code)
             seen = size
             time.sleep(POLL_SECONDS)
 
