@@ -92,11 +92,6 @@ class Trained(NamedTuple):
 def trained(name: str) -> Trained:
     runs, programs = two_runs(name), make_programs(TRAINER)
     hyper = stack(runs)
-    if not hasattr(ENV, "restart"):
-        try:
-            jax.eval_shape(TRAINER.init, runs[0])
-        except SettingError as error:
-            pytest.skip(str(error))
     state = programs.start(hyper)
     start = jax.eval_shape(lambda: state)
     metrics = []
