@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env, State
 
 from cgm_jax.envs.mocap_controller import Gripper, control_target
 from cgm_jax.envs.observations import fetch_observation
 from cgm_jax.envs.physics.protocol import Physics, PhysicsState
+from cgm_jax.envs.quiet_import import Env, State
 from cgm_jax.envs.scene import Scene
 from cgm_jax.envs.tasks import Task
 

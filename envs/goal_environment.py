@@ -3,7 +3,8 @@
 from typing import Protocol
 
 import jax
-from brax.envs.base import State
+
+from cgm_jax.envs.quiet_import import State
 
 
 class GoalEnvironment(Protocol):

@@ -16,7 +16,7 @@ atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 from jaxtyping import install_import_hook  # noqa: E402
 
 # Shapes and types that annotations of these modules tell are checked at every call in tests.
-CHECKED = ("cgm_jax.agents.networks", "cgm_jax.curricula.goals")
+CHECKED = ("cgm_jax.agents.networks", "cgm_jax.envs.goals")
 install_import_hook(CHECKED, "beartype.beartype")
 
 import jax  # noqa: E402
@@ -24,4 +24,4 @@ import jax  # noqa: E402
 # Programs of this process are not worth keeping; those of processes that tests start are.
 jax.config.update("jax_enable_compilation_cache", False)
 
-import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax
+import cgm_jax.envs.quiet_import  # noqa: E402, F401 -- ahead of Brax, whose imports it silences

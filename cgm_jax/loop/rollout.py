@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from brax.envs.base import State
 from flax import struct
 
-from cgm_jax.curricula.goals import apply_mask, is_achieved
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.envs import GoalEnvironment
+from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.replay.ring import Episodes
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from cgm_jax.config.fields import settings, traced
-from cgm_jax.curricula.goals import apply_mask, is_achieved
+from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Relabelling, Transitions
 from cgm_jax.replay.ring import Replay, size
 
