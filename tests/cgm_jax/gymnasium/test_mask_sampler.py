@@ -53,7 +53,7 @@ def test_probabilities_are_those_in_jax(n: int) -> None:
             assert sampler.probabilities.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("n", [1, 3, 12])
+@pytest.mark.parametrize("n", [1, 3, 10])
 def test_before_any_evaluation_the_full_goal_is_estimated_at_c_g(n: int) -> None:
     sampler = MaskSampler(n, c_g=0.3)
     np.testing.assert_allclose(sampler.subgoal_rates, 0.3 ** (1 / n))
@@ -104,11 +104,24 @@ def test_what_a_sampler_hands_out_is_not_its_own() -> None:
     assert sampler.probabilities.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("mask_levels", [False, True])
+def test_beyond_ten_dimensions_there_is_no_table_and_the_full_goal_is_estimated_at_c_g(
+    mask_levels: bool,
+) -> None:
+    sampler = MaskSampler(11, c_g=0.3, kappa=1000.0, mask_levels=mask_levels)
+    np.testing.assert_allclose(sampler.subgoal_rates.prod(), 0.3)
+    assert sampler.full_goal_probability > 3 * 2**-11
+    for name in ("masks", "success_rates", "probabilities"):
+        with pytest.raises(ValueError, match="goals of 11 dimensions have too many masks"):
+            getattr(sampler, name)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"goal_size": 0}, r"goal_size: 0 is not within \[1, 12\]"),
-        ({"goal_size": 13}, r"goal_size: 13 is not within \[1, 12\]"),
+        ({"goal_size": 0}, r"goal_size: 0 is not within \[1, 512\]"),
+        ({"goal_size": 513}, r"goal_size: 513 is not within \[1, 512\]"),
+        ({"mask_levels": 1}, "mask_levels: 1 is neither True nor False"),
         ({"c_g": 1.1}, r"c_g: 1.1 is not within \[0, 1\]"),
         ({"c_g": "0.1"}, "c_g: '0.1' is not a number"),
         ({"c_g": float("nan")}, "c_g: nan is not within"),
