@@ -28,8 +28,10 @@ from flax import struct
 from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.agents.gradients import (
     ADAM,
+    NoisyMinibatch,
     check_rounds,
     clip_return,
+    critic_errors,
     descend,
     follow,
     train_in_rounds,
@@ -37,20 +39,13 @@ from cgm_jax.agents.gradients import (
 from cgm_jax.agents.networks import (
     apply_critics,
     apply_gaussian_actor,
-    initial_critic,
-    initial_gaussian_actor,
+    init_gaussian_actor,
+    init_networks,
     mean_actor,
 )
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, shared, traced
 from cgm_jax.config.sizes import Sizes
-
-
-class NoisyMinibatch(Minibatch):
-    """Transitions with standard normal noise [..., action] for actions in both of their states."""
-
-    noise: jax.Array
-    next_noise: jax.Array
 
 
 class SACState(struct.PyTreeNode):
@@ -92,10 +87,9 @@ class SAC(Agent[SACState]):
             SettingError: actor_update_every does not divide updates_per_cycle.
         """
         check_rounds(self.actor_update_every, sizes)
-        actor_key, *critic_keys = jax.random.split(key, 1 + self.critics)
-        shape = (self.hidden_layers, sizes.inputs, sizes.action)
-        actor = initial_gaussian_actor(actor_key, *shape)
-        critic = tuple(initial_critic(critic_key, *shape) for critic_key in critic_keys)
+        actor, critic = init_networks(
+            key, init_gaussian_actor, self.critics, self.hidden_layers, sizes
+        )
         log_temperature = jnp.log(jnp.asarray(self.initial_temperature, jnp.float32))
         return SACState(
             actor=actor,
@@ -136,13 +130,13 @@ class SAC(Agent[SACState]):
         shift *= self.discount / (1.0 - self.discount)
         target = clip_return(target - shift, self.discount) + shift
         value = apply_critics(critic, batch.inputs, batch.action)
-        losses = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value), axis=-1)
-        return losses.sum(), {"critic_loss": losses.mean(), "value": value.mean()}
+        return critic_errors(value, target)
 
     def actor_loss(
         self, actor: Parameters, state: SACState, batch: NoisyMinibatch
     ) -> tuple[jax.Array, Info]:
         """Minus the soft value of the actor's actions."""
+        assert batch.noise is not None
         action, log_probability = sample(actor, batch.inputs, batch.noise)
         temperature = jnp.exp(state.log_temperature)
         value = apply_critics(state.critic, batch.inputs, action).min(axis=0)

@@ -21,6 +21,9 @@ ROOMS = {
 }
 """Where the components of each kind are; `protocol.py` there says what they offer."""
 
+DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
+"""Names of the components of a run that names none."""
+
 NAMES = ("env", *ROOMS)
 """Settings whose value is a name, of ours or of something of the user's own."""
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import jax
 
-from cgm_jax.config.components import ROOMS, component
+from cgm_jax.config.components import DEFAULTS, ROOMS, component
 from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
 from cgm_jax.config.named import absolute, label
 from cgm_jax.config.presets import Grid, preset_grid
@@ -26,7 +26,6 @@ MAX_RUNS = 100_000
 MAX_NAME = 200
 """Bytes of a run's name; files may have 255, of which their endings take some."""
 
-DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
 STATIC = [item.name for item in dataclasses.fields(Settings)]
 TRACED = [item.name for item in declared(Hyperparameters)]
 

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.fields import settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import proportional
 from cgm_jax.curricula.parts.windows import (
@@ -32,6 +32,7 @@ from cgm_jax.curricula.parts.windows import (
     record_episodes,
     window_rates,
 )
+from cgm_jax.curricula.progress import Progress
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -55,8 +56,8 @@ class Accuracy(Curriculum[AccuracyState]):
 
     threshold_steps: int = static(4, "distance thresholds to practise at", 1, 1000)
     threshold_widest: float = traced(2.5, "the widest, in the environment's own", 1, 1e6)
-    progress_window: int = static(100, "training episodes behind a change of success, w", 2, 10**6)
-    progress_floor: float = traced(0.02, "added to every change of success, eps", 1e-6, 1e6)
+    progress_window: int = shared(Progress, "progress_window")
+    progress_floor: float = shared(Progress, "progress_floor")
     progress_exponent: float = traced(1.0, "preference for the greatest change, beta", 0, 100)
 
     def init(self, sizes: Sizes) -> AccuracyState:

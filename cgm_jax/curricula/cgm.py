@@ -41,10 +41,10 @@ from cgm_jax.curricula.parts.lookahead import draw_masks
 from cgm_jax.curricula.parts.masks import (
     MAX_TABULATED,
     check_tabulated,
+    draw_from_table,
     goal_masks,
     mask_probabilities,
     mask_success_rates,
-    sample_masks,
 )
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
 
@@ -103,8 +103,7 @@ class CGM(Curriculum[CGMState]):
         count, goal_size = drawn.mask.shape
         if goal_size > MAX_TABULATED:
             return with_mask(drawn, self.draw(state, key, count)[0])
-        probabilities = self.probabilities(self.rates(state))
-        return with_mask(drawn, goal_masks(goal_size)[sample_masks(key, probabilities, count)])
+        return draw_from_table(drawn, key, self.probabilities(self.rates(state)))
 
     def after_evaluation(
         self, state: CGMState, outcomes: Outcomes, examined: Outcomes | None = None

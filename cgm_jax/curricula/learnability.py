@@ -14,8 +14,9 @@ are uniform where no score is above 0, so where every sub-goal always or never s
 
 import jax
 
-from cgm_jax.config.fields import settings, static
+from cgm_jax.config.fields import settings, shared
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.cgm import CGM
 from cgm_jax.curricula.parts.history import (
     SuccessHistory,
     empty_history,
@@ -24,12 +25,12 @@ from cgm_jax.curricula.parts.history import (
 )
 from cgm_jax.curricula.parts.masks import (
     check_tabulated,
+    draw_from_table,
     goal_masks,
     mask_success_rates,
     proportional,
-    sample_masks,
 )
-from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 MOST_LEARNABLE = 0.5
 """The success rate at which c (1 - c) is greatest."""
@@ -39,7 +40,7 @@ MOST_LEARNABLE = 0.5
 class Learnability(Curriculum[SuccessHistory]):
     """Its state holds the outcomes of evaluation episodes with the full goal, per sub-goal."""
 
-    success_history: int = static(10, "evaluation episodes behind success rates, h", 1, 10**6)
+    success_history: int = shared(CGM, "success_history")
 
     def init(self, sizes: Sizes) -> SuccessHistory:
         """Nothing known yet.
@@ -53,9 +54,7 @@ class Learnability(Curriculum[SuccessHistory]):
     def sample(self, state: SuccessHistory, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks that sometimes succeed."""
         del view
-        masks = goal_masks(drawn.desired.shape[-1])
-        probabilities = learnable(self.rates(state))
-        return with_mask(drawn, masks[sample_masks(key, probabilities, len(drawn.mask))])
+        return draw_from_table(drawn, key, learnable(self.rates(state)))
 
     def after_evaluation(
         self, state: SuccessHistory, outcomes: Outcomes, examined: Outcomes | None = None

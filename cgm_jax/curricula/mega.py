@@ -24,8 +24,10 @@ import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.common import Common
+from cgm_jax.config.fields import settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import achieved_goals
 from cgm_jax.curricula.parts.density import log_density
 from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
@@ -79,8 +81,8 @@ class MEGA(Curriculum[MEGAState]):
     density_bandwidth: float = traced(0.1, "bandwidth of densities of standardised goals", 1e-3, 10)
     omega_bonus: float = traced(-3.0, "b of OMEGA; the smaller, the more of the task's goals")
     initial_cutoff: float = traced(-3.0, "value from which on a goal counts as reachable", high=0)
-    discount: float = traced(0.98, "discount factor gamma", 0, 0.9999)
-    candidates: int = static(100, "goals among which to choose", 1, 10**5)
+    discount: float = shared(Common, "discount")
+    candidates: int = shared(GOID, "candidates")
     density_samples: int = static(1000, "goals behind a density", 1, 10**5)
 
     def init(self, sizes: Sizes) -> MEGAState:

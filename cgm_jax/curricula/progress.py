@@ -22,13 +22,12 @@ from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import (
     check_tabulated,
-    goal_masks,
+    draw_from_table,
     mask_indices,
     proportional,
-    sample_masks,
 )
 from cgm_jax.curricula.parts.windows import Windows, empty_windows, progress, record_episodes
-from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
 @settings
@@ -50,9 +49,7 @@ class Progress(Curriculum[Windows]):
     def sample(self, state: Windows, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks whose success changes."""
         del view
-        masks = goal_masks(drawn.desired.shape[-1])
-        probabilities = self.probabilities(state)
-        return with_mask(drawn, masks[sample_masks(key, probabilities, len(drawn.mask))])
+        return draw_from_table(drawn, key, self.probabilities(state))
 
     def after_training(self, state: Windows, outcomes: Outcomes) -> Windows:
         """Take in whether masked goals were achieved."""

@@ -17,8 +17,9 @@ import jax.numpy as jnp
 from flax import struct
 from jax.scipy.special import xlogy
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.fields import settings, shared, traced
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -36,7 +37,7 @@ class VDS(Curriculum[VDSState]):
     needs_critics: ClassVar[int] = 2
 
     disagreement_power: float = traced(1.0, "goals count by critics' deviation to this", 0, 100)
-    candidates: int = static(100, "goals among which to choose", 1, 10**5)
+    candidates: int = shared(GOID, "candidates")
 
     def init(self, sizes: Sizes) -> VDSState:
         """Nothing known yet."""

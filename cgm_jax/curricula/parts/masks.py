@@ -11,6 +11,7 @@ from jax.scipy.special import xlogy
 from jax.typing import ArrayLike
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.curricula.protocol import Goals, with_mask
 
 MAX_TABULATED = 10
 """Dimensions of a goal up to which all 2^n masks are tabulated."""
@@ -95,6 +96,12 @@ def proportional(weights: jax.Array) -> jax.Array:
 def sample_masks(key: jax.Array, probabilities: jax.Array, count: int) -> jax.Array:
     """Draw mask indices [count], int32, with the given probabilities [m]."""
     return jax.random.categorical(key, jnp.log(probabilities), shape=(count,))
+
+
+def draw_from_table(drawn: Goals, key: jax.Array, probabilities: jax.Array) -> Goals:
+    """The environment's goals, under masks drawn with the given probabilities [2^n]."""
+    count, goal_size = drawn.mask.shape
+    return with_mask(drawn, goal_masks(goal_size)[sample_masks(key, probabilities, count)])
 
 
 def mask_indices(masks: jax.Array) -> jax.Array:
