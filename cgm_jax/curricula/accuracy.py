@@ -27,7 +27,7 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import proportional
 from cgm_jax.curricula.parts.windows import (
     Windows,
-    empty_windows,
+    init_windows,
     progress,
     record_episodes,
     window_rates,
@@ -65,7 +65,7 @@ class Accuracy(Curriculum[AccuracyState]):
         multiples = jnp.linspace(1.0, self.threshold_widest, self.threshold_steps)
         return AccuracyState(
             thresholds=sizes.distance_threshold * multiples,
-            windows=empty_windows(self.threshold_steps, self.progress_window),
+            windows=init_windows(self.threshold_steps, self.progress_window),
         )
 
     def sample(self, state: AccuracyState, key: jax.Array, drawn: Goals, view: View) -> Goals:

@@ -25,7 +25,7 @@ from cgm_jax.config.fields import SettingError, settings, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.history import (
     SuccessHistory,
-    empty_history,
+    init_history,
     record_successes,
     subgoal_rates,
     success_rates,
@@ -91,11 +91,11 @@ class CGM(Curriculum[CGMState]):
             raise SettingError(
                 f"mask_levels: goals of {sizes.goal} dimensions have more than {MAX_GOAL_SIZE}"
             )
-        subgoals = empty_history(self.success_history, sizes.goal)
+        subgoals = init_history(self.success_history, sizes.goal)
         if not self.masked_evaluation_episodes:
             return CGMState(subgoals)
         check_tabulated("masked_evaluation_episodes", sizes.goal)
-        return CGMState(subgoals, empty_history(self.success_history, 2**sizes.goal))
+        return CGMState(subgoals, init_history(self.success_history, 2**sizes.goal))
 
     def sample(self, state: CGMState, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks near the success rate aimed at."""

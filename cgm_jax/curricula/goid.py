@@ -25,7 +25,7 @@ from cgm_jax.curricula.parts.candidates import (
     draw_eligible,
     nearest_success,
 )
-from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -63,7 +63,7 @@ class GOID(Curriculum[GOIDState]):
         """Nothing practised yet."""
         like = Practised(jnp.zeros(sizes.goal), jnp.zeros((), bool))
         return GOIDState(
-            practised=empty_recent(like, self.practised_episodes),
+            practised=init_recent(like, self.practised_episodes),
             share=jnp.full((), jnp.nan, jnp.float32),
         )
 

@@ -19,7 +19,7 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.cgm import CGM
 from cgm_jax.curricula.parts.history import (
     SuccessHistory,
-    empty_history,
+    init_history,
     record_successes,
     subgoal_rates,
 )
@@ -49,7 +49,7 @@ class Learnability(Curriculum[SuccessHistory]):
             SettingError: too many goal dimensions for a table of all masks.
         """
         check_tabulated("curriculum", sizes.goal)
-        return empty_history(self.success_history, sizes.goal)
+        return init_history(self.success_history, sizes.goal)
 
     def sample(self, state: SuccessHistory, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks that sometimes succeed."""

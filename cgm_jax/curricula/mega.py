@@ -30,7 +30,7 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import achieved_goals
 from cgm_jax.curricula.parts.density import log_density
-from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 CUTOFF_EPISODES = 10
@@ -43,7 +43,7 @@ REACHED_WITHIN = 0.8
 """Share of an episode's steps within which a goal must be reached at least."""
 
 MAX_DISCOUNT = 0.99
-LEAST_DEVIATION = 1e-4
+MIN_DEVIATION = 1e-4
 """What mrl adds to the standard deviation of achieved goals."""
 
 
@@ -94,7 +94,7 @@ class MEGA(Curriculum[MEGAState]):
             cutoff=cutoff,
             lower=cutoff,
             floor=floor,
-            successes=empty_recent(jnp.zeros((), bool), CUTOFF_EPISODES),
+            successes=init_recent(jnp.zeros((), bool), CUTOFF_EPISODES),
             alpha=jnp.full((), jnp.nan, jnp.float32),
         )
 
@@ -104,7 +104,7 @@ class MEGA(Curriculum[MEGAState]):
         count = len(drawn.desired)
         candidates = achieved_goals(candidate_key, view, (count, self.candidates))
         achieved = achieved_goals(achieved_key, view, (self.density_samples,))
-        mean, deviation = achieved.mean(axis=0), achieved.std(axis=0) + LEAST_DEVIATION
+        mean, deviation = achieved.mean(axis=0), achieved.std(axis=0) + MIN_DEVIATION
         achieved = (achieved - mean) / deviation
         density = log_density((candidates - mean) / deviation, achieved, self.density_bandwidth)
 

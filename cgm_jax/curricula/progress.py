@@ -26,7 +26,7 @@ from cgm_jax.curricula.parts.masks import (
     mask_indices,
     proportional,
 )
-from cgm_jax.curricula.parts.windows import Windows, empty_windows, progress, record_episodes
+from cgm_jax.curricula.parts.windows import Windows, init_windows, progress, record_episodes
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -44,7 +44,7 @@ class Progress(Curriculum[Windows]):
             SettingError: too many goal dimensions for a table of all masks.
         """
         check_tabulated("curriculum", sizes.goal)
-        return empty_windows(2**sizes.goal, self.progress_window)
+        return init_windows(2**sizes.goal, self.progress_window)
 
     def sample(self, state: Windows, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks whose success changes."""

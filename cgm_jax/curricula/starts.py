@@ -26,7 +26,7 @@ from cgm_jax.config.fields import SettingError, settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import between, draw_eligible, nearest_success
-from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -79,8 +79,8 @@ class Starts(Curriculum[StartsState]):
             )
         like = Begun(jnp.zeros(sizes.observation), jnp.zeros(sizes.goal), jnp.zeros((), bool))
         return StartsState(
-            visited=empty_recent(sizes.starts, self.visited_states),
-            begun=empty_recent(like, self.practised_episodes),
+            visited=init_recent(sizes.starts, self.visited_states),
+            begun=init_recent(like, self.practised_episodes),
             share=jnp.full((), jnp.nan, jnp.float32),
         )
 

@@ -46,13 +46,13 @@ class Normaliser(struct.PyTreeNode):
     limit: jax.Array
 
 
-def initial_normaliser(
+def init_normaliser(
     observation_size: int, goal_size: int, *, limit: ArrayLike, distance_threshold: float
 ) -> Normaliser:
     """Statistics that have seen nothing."""
     return Normaliser(
-        observation=_blank(observation_size, distance_threshold),
-        goal=_blank(goal_size, distance_threshold),
+        observation=_init_statistics(observation_size, distance_threshold),
+        goal=_init_statistics(goal_size, distance_threshold),
         limit=jnp.asarray(limit, jnp.float32),
     )
 
@@ -93,7 +93,7 @@ def network_input(normaliser: Normaliser, observation: jax.Array, goal: jax.Arra
     return jnp.clip(jnp.concatenate(parts, axis=-1), -normaliser.limit, normaliser.limit)
 
 
-def _blank(size: int, distance_threshold: float) -> RunningStatisticsState:
+def _init_statistics(size: int, distance_threshold: float) -> RunningStatisticsState:
     # The default std_eps is a Python number, whose weak type would not survive the first epoch
     # and would make the second one compile anew.
     state = running_statistics.init_state(jnp.zeros(size), std_eps=jnp.zeros(()))  # pyright: ignore

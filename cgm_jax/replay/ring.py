@@ -41,7 +41,7 @@ class Replay(struct.PyTreeNode):
     inserted: jax.Array
 
 
-def empty_replay(
+def init_replay(
     capacity: int, episode_length: int, observation_size: int, goal_size: int, action_size: int
 ) -> Replay:
     """A ring for `capacity` episodes.

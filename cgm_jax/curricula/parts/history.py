@@ -18,7 +18,7 @@ class SuccessHistory(struct.PyTreeNode):
     count: jax.Array
 
 
-def empty_history(length: int, columns: int) -> SuccessHistory:
+def init_history(length: int, columns: int) -> SuccessHistory:
     """A history of the last `length` rollouts that has seen none."""
     return SuccessHistory(jnp.zeros((length, columns)), jnp.zeros((), jnp.int32))
 

@@ -25,7 +25,7 @@ class Recent(struct.PyTreeNode):
         return jnp.arange(length) < self.recorded
 
 
-def empty_recent(like: Any, length: int) -> Recent:
+def init_recent(like: Any, length: int) -> Recent:
     """A ring that has seen nothing.
 
     Args:

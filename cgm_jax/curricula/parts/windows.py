@@ -23,7 +23,7 @@ class Windows(struct.PyTreeNode):
     inserted: jax.Array
 
 
-def empty_windows(things: int, length: int) -> Windows:
+def init_windows(things: int, length: int) -> Windows:
     """Windows over the latest `length` episodes that have seen none."""
     return Windows(jnp.zeros((things, length)), jnp.zeros(things, jnp.int32))
 

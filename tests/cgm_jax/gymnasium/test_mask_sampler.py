@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.parts.history import empty_history, record_successes, subgoal_rates
+from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
 from cgm_jax.curricula.parts.masks import goal_masks, mask_probabilities, mask_success_rates
 from cgm_jax.gymnasium.mask_sampler import MaskSampler, mask_generator
 
@@ -34,7 +34,7 @@ def test_probabilities_worked_by_hand() -> None:
 @pytest.mark.parametrize("n", [3, 9])
 def test_probabilities_are_those_in_jax(n: int) -> None:
     generator = np.random.default_rng(n)
-    masks, history = goal_masks(n), empty_history(10, n)
+    masks, history = goal_masks(n), init_history(10, n)
     samplers = {corner: MaskSampler(n, *corner) for corner in CORNERS}
     for count in (0, 4, 15):
         outcomes = generator.random((count, n)) < np.linspace(0.2, 1.0, n)
