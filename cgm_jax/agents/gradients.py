@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import optax
+from jaxtyping import Array, Float
 
 from cgm_jax.agents.protocol import Info, Minibatch, Parameters
 from cgm_jax.config.fields import SettingError
@@ -68,7 +69,9 @@ class NoisyMinibatch(Minibatch):
     noise: jax.Array | None = None
 
 
-def critic_errors(value: jax.Array, target: jax.Array) -> tuple[jax.Array, Info]:
+def critic_errors(
+    value: Float[Array, "critics batch"], target: Float[Array, " batch"]
+) -> tuple[Float[Array, ""], Info]:
     """The loss of critics that share a target: mean squared errors, summed over critics.
 
     Args:

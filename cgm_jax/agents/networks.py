@@ -119,7 +119,9 @@ def apply_actor(
     return Actor(hidden, actions).apply(parameters, inputs)  # pyright: ignore[reportReturnType]
 
 
-def apply_gaussian_actor(parameters: Parameters, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+def apply_gaussian_actor(
+    parameters: Parameters, inputs: Float[Array, "*batch inputs"]
+) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch action"]]:
     """Means and logarithms of standard deviations, each [..., action_size], before `tanh`."""
     *hidden, outputs = _widths(parameters)
     actor = GaussianActor(hidden, outputs // 2)
@@ -145,7 +147,11 @@ def apply_critic(
     return Critic(hidden).apply(parameters, inputs, action)  # pyright: ignore[reportReturnType]
 
 
-def apply_critics(critics: Sequence[Parameters], inputs: jax.Array, action: jax.Array) -> jax.Array:
+def apply_critics(
+    critics: Sequence[Parameters],
+    inputs: Float[Array, "*batch inputs"],
+    action: Float[Array, "*batch action"],
+) -> Float[Array, " critics *batch"]:
     """What each critic expects of actions, [critics, ...]."""
     return jnp.stack([apply_critic(critic, inputs, action) for critic in critics])
 

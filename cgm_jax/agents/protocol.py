@@ -10,7 +10,7 @@ beyond 1e9, is frozen and named by the field; fields whose names end in "optimis
 Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - gamma), 0].
 """
 
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax
 from flax import struct
@@ -37,6 +37,7 @@ class Minibatch(struct.PyTreeNode):
     next_inputs: jax.Array
 
 
+@runtime_checkable
 class Agent(Protocol[State]):
     """Pure functions of one run over a state; derive from it.
 

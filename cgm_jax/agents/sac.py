@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.agents.gradients import (
@@ -208,7 +209,9 @@ class SAC(Agent[SACState]):
         ), info
 
 
-def sample(actor: Parameters, inputs: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
+def sample(
+    actor: Parameters, inputs: Float[Array, "*batch inputs"], noise: Float[Array, "*batch action"]
+) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch"]]:
     """Actions [..., action] and the logarithms [...] of their probability densities.
 
     Haarnoja et al. (2018), appendix C: log N(u; mean, std) - sum_i log(1 - tanh(u_i)^2), of which

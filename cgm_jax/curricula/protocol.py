@@ -13,7 +13,7 @@ is inherited.
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
 from flax import struct
@@ -82,6 +82,7 @@ class View(NamedTuple):
     draw: Callable[[jax.Array, int], jax.Array]
 
 
+@runtime_checkable
 class Curriculum(Protocol[State]):
     """Pure functions of one run over a state; derive from it and override what differs.
 

@@ -102,6 +102,30 @@ def test_directories_named_for_one_second_do_not_collide(
     assert all((tmp_path / path).is_dir() for path in made)
 
 
+@pytest.mark.slow
+def test_three_trainings_started_at_once_without_a_name_get_three_directories(
+    tmp_path: Path,
+) -> None:
+    command = [sys.executable, "-m", "cgm_jax.train", "--preset", "smoke", "--epochs", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    started = [
+        subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(3)
+    ]
+    errors = [process.communicate(timeout=300)[1] for process in started]
+    assert [process.returncode for process in started] == [0, 0, 0], errors
+    configs = sorted(tmp_path.glob("runs/*/config.json"))
+    assert len(configs) == 3
+    assert all((path.parent / "policies").iterdir() for path in configs)
+
+
 QUIET = """
 import sys
 import cgm_jax.{first}
