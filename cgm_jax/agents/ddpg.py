@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.agents.gradients import (
     ADAM,
@@ -81,12 +82,19 @@ class DDPG(Agent[DDPGState]):
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def act(self, state: DDPGState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: DDPGState, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """The actor's action, without noise."""
         del key
         return apply_actor(state.actor, inputs)
 
-    def value(self, state: DDPGState, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: DDPGState,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects, [critics, ...]."""
         return apply_critics(state.critic, inputs, action)
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.sizes import Sizes
 
@@ -61,7 +62,9 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def act(self, state: State, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: State, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """Actions [..., action] in [-1, 1] for training, from normalised inputs [..., inputs].
 
         Args:
@@ -71,7 +74,12 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def value(self, state: State, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: State,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects of an action, [critics, ...]."""
         ...
 

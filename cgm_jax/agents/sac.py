@@ -103,14 +103,21 @@ class SAC(Agent[SACState]):
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def act(self, state: SACState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: SACState, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """Sampled actions with a key, tanh(mean) without."""
         mean, log_std = apply_gaussian_actor(state.actor, inputs)
         if key is not None:
             mean += jnp.exp(log_std) * jax.random.normal(key, mean.shape)
         return jnp.tanh(mean)
 
-    def value(self, state: SACState, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: SACState,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects, entropy included, [critics, ...]."""
         return apply_critics(state.critic, inputs, action)
 

@@ -21,6 +21,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
@@ -91,7 +92,7 @@ class Accuracy(Curriculum[AccuracyState]):
             "threshold_probability": self.probabilities(state),
         }
 
-    def probabilities(self, state: AccuracyState) -> jax.Array:
+    def probabilities(self, state: AccuracyState) -> Float[Array, " steps"]:
         """Probability of drawing each threshold, [steps]."""
         change = jnp.abs(progress(state.windows)) + self.progress_floor
         return proportional((change / change.max()) ** self.progress_exponent)

@@ -16,6 +16,7 @@ in the paper; while replay is empty, the environment's own goals.
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
@@ -101,7 +102,7 @@ class GOID(Curriculum[GOIDState]):
             "goid_success": mean_of(state.practised, state.practised.rows.success),
         }
 
-    def rates(self, state: GOIDState, goals: jax.Array) -> jax.Array:
+    def rates(self, state: GOIDState, goals: Float[Array, "m n"]) -> Float[Array, " m"]:
         """Estimated success rate [m] of goals [m, n]; NaN before any training episode."""
         practised: Practised = state.practised.rows
         return nearest_success(

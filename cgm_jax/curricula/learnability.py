@@ -13,6 +13,7 @@ are uniform where no score is above 0, so where every sub-goal always or never s
 """
 
 import jax
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, shared
 from cgm_jax.config.sizes import Sizes
@@ -68,12 +69,12 @@ class Learnability(Curriculum[SuccessHistory]):
         rates = self.rates(state)
         return {"mask_rate_estimated": rates, "mask_probability": learnable(rates)}
 
-    def rates(self, state: SuccessHistory) -> jax.Array:
+    def rates(self, state: SuccessHistory) -> Float[Array, " masks"]:
         """Estimated success rate of every mask [2^n]."""
         masks = goal_masks(state.successes.shape[-1])
         return mask_success_rates(masks, subgoal_rates(state, MOST_LEARNABLE))
 
 
-def learnable(rates: jax.Array) -> jax.Array:
+def learnable(rates: Float[Array, " m"]) -> Float[Array, " m"]:
     """Probabilities proportional to c (1 - c), for success rates [m]; uniform where all are 0."""
     return proportional(rates * (1.0 - rates))

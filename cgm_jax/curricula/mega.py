@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
 from cgm_jax.config.common import Common
 from cgm_jax.config.fields import settings, shared, static, traced
@@ -153,7 +154,9 @@ class MEGA(Curriculum[MEGAState]):
         return {"omega_alpha": state.alpha, "mega_cutoff": state.cutoff}
 
 
-def rarest_reachable(density: jax.Array, values: jax.Array, cutoff: ArrayLike) -> jax.Array:
+def rarest_reachable(
+    density: Float[Array, "E C"], values: Float[Array, "E C"], cutoff: ArrayLike
+) -> Int[Array, " E"]:
     """Index [E] of the candidate to practise.
 
     Args:

@@ -17,6 +17,7 @@ Over w episodes a mask that succeeds half of the time by chance changes by about
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
@@ -60,6 +61,6 @@ class Progress(Curriculum[Windows]):
         """Per mask [2^n]: the change of its success rate, and its probability of being drawn."""
         return {"mask_progress": progress(state), "mask_probability": self.probabilities(state)}
 
-    def probabilities(self, state: Windows) -> jax.Array:
+    def probabilities(self, state: Windows) -> Float[Array, " masks"]:
         """Probability of drawing each mask, [2^n]."""
         return proportional(jnp.abs(progress(state)) + self.progress_floor)

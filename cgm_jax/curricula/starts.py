@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import SettingError, settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
@@ -116,7 +117,7 @@ class Starts(Curriculum[StartsState]):
             "start_success": mean_of(state.begun, state.begun.rows.success),
         }
 
-    def rates(self, state: StartsState, view: View) -> jax.Array:
+    def rates(self, state: StartsState, view: View) -> Float[Array, " N"]:
         """Estimated success rate [N] of every visited state; NaN before any training episode."""
         visited, begun = state.visited.rows, state.begun.rows
         values = view.value(visited.obs["observation"], visited.obs["desired_goal"]).mean(axis=0)

@@ -19,6 +19,7 @@ from brax.training.acme import running_statistics
 from brax.training.acme.running_statistics import RunningStatisticsState
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
 
 from cgm_jax.replay.ring import Episodes
 
@@ -60,7 +61,7 @@ def init_normaliser(
 def observe(
     normaliser: Normaliser,
     episodes: Episodes,
-    valid: jax.Array,
+    valid: Bool[Array, " episodes"],
     *,
     floor: float,
     distance_threshold: float,
@@ -86,7 +87,9 @@ def observe(
     )
 
 
-def network_input(normaliser: Normaliser, observation: jax.Array, goal: jax.Array) -> jax.Array:
+def network_input(
+    normaliser: Normaliser, observation: Float[Array, "*batch o"], goal: Float[Array, "*batch n"]
+) -> Float[Array, "*batch o+n"]:
     """Normalised observation and goal, [..., observation_size + goal_size]."""
     pairs = ((normaliser.observation, observation), (normaliser.goal, goal))
     parts = [(rows - statistics.mean) / statistics.std for statistics, rows in pairs]
