@@ -4,6 +4,7 @@ DIR/config.json           everything needed to run it again, versions included
 DIR/metrics.jsonl         one object per run and epoch
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
 DIR/figures/*.png
+DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
 
@@ -39,7 +40,7 @@ from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 METRICS = "metrics.jsonl"
 CONFIG = "config.json"
-PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
+PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints", "tracking")
 
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
