@@ -39,6 +39,7 @@ may change with any version:
     from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
     from cgm_jax.replay.protocol import Relabelling, Transitions
     from cgm_jax.replay.ring import Episodes, Replay
+    from cgm_jax.results.trackers.protocol import Tracker
     from cgm_jax.storage.policies import act, load_policy
     from cgm_jax.storage.run_directory import RunDirectory
     from cgm_jax.sweep import main

@@ -108,15 +108,19 @@ class Tracking:
 
     def show(self, paths: Mapping[str, Path], epoch: int) -> None:
         """Send PNG and GIF files that are new or have changed, as of an epoch."""
+        if self._tracker is not None:
+            self._attempt(self._show, self._tracker, paths, epoch)
+        self._keep()
+
+    def _show(self, tracker: Tracker, paths: Mapping[str, Path], epoch: int) -> None:
         digests = {name: _digest(path) for name, path in paths.items()}
         changed = {n: path for n, path in paths.items() if digests[n] != self._files.get(n)}
-        if self._tracker is None or not changed:
-            return
-        self._begin(SWEEP, {})
-        if self._tracker is not None and self._attempt(self._tracker.files, SWEEP, epoch, changed):
+        if changed:
+            tracker.begin(SWEEP, {}, self._sent.get(SWEEP, 0))
+            self._open.append(SWEEP)
+            tracker.files(SWEEP, epoch, changed)
             self._files |= digests
             self._sent[SWEEP] = epoch
-        self._keep()
 
     def end(self) -> None:
         """Close all runs that are open."""
