@@ -76,7 +76,7 @@ class Trackio(Tracker):
                 auto_log_gpu=False,
             )
             yield opened
-            opened.finish()
+            trackio.finish()
 
     def _name(self, run: str) -> str:
         return f"{self.sweep}/{run}"

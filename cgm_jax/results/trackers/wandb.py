@@ -1,8 +1,8 @@
 """Weights & Biases, offline unless WANDB_MODE says otherwise.
 
-Offline, each process that trains a run leaves a part of it, `offline-run-*`, below
-DIR/tracking/wandb; `wandb sync` joins the parts of a run, which have one id. Online a resumed run
-continues. WANDB_PROJECT, WANDB_ENTITY, WANDB_DIR and the like are heeded.
+Offline, each process that trains a run leaves a part of it, `offline-run-*`, where wandb keeps its
+files (WANDB_DIR, or ./wandb); `wandb sync` joins the parts of a run, which have one id. Online a
+resumed run continues. WANDB_PROJECT, WANDB_ENTITY and the like are heeded.
 """
 
 # The package need not be installed; then this file, its namesake, is taken for it.
@@ -39,11 +39,9 @@ class WeightsAndBiases(Tracker):
             id=hashlib.sha256(f"{self.sweep}/{run}".encode()).hexdigest()[:32],
             resume=None if mode == "offline" else "allow",
             mode=mode,
-            dir=os.environ.get("WANDB_DIR", str(self.folder)),
             config=dict(settings),
             reinit="create_new",
-            # Links in a run directory are not followed, and so not made.
-            settings=wandb.Settings(console="off", silent=True, symlink=False),
+            settings=wandb.Settings(console="off", silent=True),
         )
         opened.define_metric("*", step_metric="env_steps")
         self._runs[run] = opened
