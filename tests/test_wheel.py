@@ -1,4 +1,4 @@
-"""The package beside anything: in a folder whose names are ours, from a checkout and from a wheel."""
+"""The package beside folders of the same names, from a checkout and from a wheel."""
 
 import ast
 import importlib.metadata
@@ -91,7 +91,9 @@ def test_imports_commands_and_gymnasium_beside_folders_of_the_same_names(
 def test_a_wheel_brings_one_name_and_its_types(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"cgm_jax"}
-    assert {"cgm_jax/py.typed", "cgm_jax/envs/fetch.py", "cgm_jax/assets/fetch/reach.xml"} <= {*names}
+    assert {"cgm_jax/py.typed", "cgm_jax/envs/fetch.py", "cgm_jax/assets/fetch/reach.xml"} <= {
+        *names
+    }
     assert f"-{cgm_jax.__version__}-" in wheel.name
 
 

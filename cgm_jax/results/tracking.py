@@ -116,8 +116,7 @@ class Tracking:
         digests = {name: _digest(path) for name, path in paths.items()}
         changed = {n: path for n, path in paths.items() if digests[n] != self._files.get(n)}
         if changed:
-            tracker.begin(SWEEP, {}, self._sent.get(SWEEP, 0))
-            self._open.append(SWEEP)
+            self._open_run(tracker, SWEEP, {})
             tracker.files(SWEEP, epoch, changed)
             self._files |= digests
             self._sent[SWEEP] = epoch
@@ -130,10 +129,12 @@ class Tracking:
         self._open = []
 
     def _begin(self, run: str, settings: Mapping[str, Any]) -> None:
-        if self._tracker is not None and self._attempt(
-            self._tracker.begin, run, settings, self._sent.get(run, 0)
-        ):
-            self._open.append(run)
+        if self._tracker is not None:
+            self._attempt(self._open_run, self._tracker, run, settings)
+
+    def _open_run(self, tracker: Tracker, run: str, settings: Mapping[str, Any]) -> None:
+        self._sent[run] = tracker.begin(run, settings, self._sent.get(run, 0))
+        self._open.append(run)
 
     def _keep(self) -> None:
         if self._tracker is not None:

@@ -42,6 +42,8 @@ METRICS = "metrics.jsonl"
 CONFIG = "config.json"
 PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints", "tracking")
 
+WANDB_LOG = "debug-core.log"
+
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
 
@@ -372,7 +374,8 @@ def _check_name(name: Any) -> None:
 def _check_parts(path: Path) -> None:
     """Check that all parts of a run directory are ordinary files and directories.
 
-    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to.
+    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
+    that wandb makes beside its log is left alone, since nothing here opens it.
 
     Raises:
         SettingError: one is not.
@@ -381,6 +384,8 @@ def _check_parts(path: Path) -> None:
         for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
             for name in (*folders, *files):
                 found = Path(folder) / name
+                if part == "tracking" and name == WANDB_LOG and Path(folder).name == "logs":
+                    continue
                 try:
                     mode = found.lstat().st_mode
                 except OSError:  # there is none

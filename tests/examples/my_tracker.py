@@ -13,9 +13,10 @@ from cgm_jax.results.trackers.protocol import Tracker
 class TextFile(Tracker):
     """One text file per run: a line for its settings, for each epoch, and for each file."""
 
-    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> None:
+    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> int:
         if not sent:
             self._add(run, f"settings {json.dumps(dict(settings))}")
+        return sent
 
     def metrics(self, run: str, epoch: int, values: Mapping[str, float]) -> None:
         self._add(run, f"epoch {epoch} {json.dumps(values)}")

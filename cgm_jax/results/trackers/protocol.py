@@ -24,14 +24,17 @@ class Tracker(Protocol):
     folder: Path
     sweep: str
 
-    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> None:
+    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> int:
         """Open a run, or continue it in the same place.
 
         Args:
             run: its name.
             settings: all of them, by name.
-            sent: epochs that it was given until now, 0 for a new run. If a process was killed just
-                after it had sent another one, that one comes again, and must not count twice.
+            sent: epochs that it was given until now, 0 for a new run. A process that was killed
+                may have sent one more, or sent some that never arrived.
+
+        Returns:
+            Epochs that it holds; the next one comes next, and is not to count twice.
         """
         ...
 

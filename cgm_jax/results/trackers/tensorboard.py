@@ -31,7 +31,7 @@ class TensorBoard(Tracker):
 
     _writers: dict[str, Any] = field(default_factory=dict)
 
-    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> None:
+    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> int:
         """Start a file, and show the settings in a new run."""
         from tensorboard.compat.proto.event_pb2 import SessionLog
         from tensorboard.plugins.text.summary_v2 import text_pb
@@ -44,6 +44,7 @@ class TensorBoard(Tracker):
             text = json.dumps(dict(settings), indent=4).replace("\n", "\n    ")
             self._add(run, 0, summary=text_pb("settings", f"    {text}"))
         self._writers[run].flush()
+        return sent
 
     def metrics(self, run: str, epoch: int, values: Mapping[str, float]) -> None:
         """Add scalars with the epoch as step."""

@@ -29,21 +29,19 @@ class Trackio(Tracker):
     PACKAGE = "trackio"
 
     _settings: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    _held: dict[str, int] = field(default_factory=dict)
 
-    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> None:
-        """Remember the settings, and up to which epoch the database holds the run."""
+    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> int:
+        """Remember the settings, and look up to which epoch the database holds the run."""
         from trackio.sqlite_storage import SQLiteStorage
 
         self._settings[run] = settings
-        held = SQLiteStorage.get_max_step_for_run(_project(), self._name(run)) if sent else None
-        self._held[run] = held or 0
+        del sent
+        return SQLiteStorage.get_max_step_for_run(_project(), self._name(run)) or 0
 
     def metrics(self, run: str, epoch: int, values: Mapping[str, float]) -> None:
         """Add values with the epoch as step."""
-        if epoch > self._held[run]:
-            with self._opened(run) as opened:
-                opened.log(dict(values), step=epoch)
+        with self._opened(run) as opened:
+            opened.log(dict(values), step=epoch)
 
     def files(self, run: str, epoch: int, paths: Mapping[str, Path]) -> None:
         """Add images, and GIFs as videos."""
@@ -58,7 +56,7 @@ class Trackio(Tracker):
 
     def end(self, run: str) -> None:
         """Forget the run, which is finished."""
-        del self._settings[run], self._held[run]
+        del self._settings[run]
 
     @contextlib.contextmanager
     def _opened(self, run: str) -> Iterator[Any]:

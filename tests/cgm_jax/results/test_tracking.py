@@ -28,14 +28,16 @@ class Failing(Tracker):
 
     asked: ClassVar[list[str]] = []
     fails_at: ClassVar[str] = ""
+    holds: ClassVar[int | None] = None
 
     def __init__(self, folder: Path, sweep: str) -> None:
         del folder, sweep
         self._do("init")
 
-    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> None:
+    def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> int:
         del run, settings
         self._do(f"begin after {sent}")
+        return self.holds if self.holds is not None else sent
 
     def metrics(self, run: str, epoch: int, values: Mapping[str, float]) -> None:
         del run, values
@@ -67,6 +69,7 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> type:
     found = find_tracker(FAILING)
     monkeypatch.setattr(found, "asked", [])
     monkeypatch.setattr(found, "fails_at", "")
+    monkeypatch.setattr(found, "holds", None)
     return found
 
 
@@ -152,6 +155,17 @@ def test_an_epoch_that_was_sent_but_not_recorded_is_named_to_the_tracker(
     assert failing.asked[-2:] == ["begin after 1", "epoch 2"]
 
 
+@pytest.mark.parametrize(("holds", "sent"), [(0, [1, 2, 3]), (1, [2, 3]), (3, [])])
+def test_a_tracker_that_says_what_it_holds_is_sent_the_rest(
+    holds: int, sent: list[int], tmp_path: Path, runs: tuple[Run, ...], failing: Any
+) -> None:
+    Tracking(FAILING, tmp_path).begin(runs[:1], epoch_rows(runs[:1], 1, 2))
+    failing.asked.clear()
+    failing.holds = holds
+    Tracking(FAILING, tmp_path).begin(runs[:1], epoch_rows(runs[:1], 1, 2, 3))
+    assert failing.asked == ["init", "begin after 2", *(f"epoch {n}" for n in sent)]
+
+
 def test_files_are_sent_when_they_are_new_or_have_changed(
     tmp_path: Path, runs: tuple[Run, ...], failing: Any
 ) -> None:
@@ -199,7 +213,7 @@ def test_scalars_are_all_numbers_of_a_row_but_its_settings() -> None:
 
 def test_trackers_are_found_by_their_files_names() -> None:
     assert sorted(builtin(TRACK)) == ["tensorboard", "trackio", "wandb"]
-    assert find_tracker("tensorboard").__name__ == "TensorBoard"
+    assert builtin(TRACK)["tensorboard"].__name__ == "TensorBoard"
     assert find_tracker(TEXT_FILE).__name__ == "TextFile"
 
 
