@@ -51,7 +51,8 @@ class WeightsAndBiases(Tracker):
             # Links in a run directory are not followed, and so not made.
             settings=wandb.Settings(console="off", silent=True, symlink=False),
         )
-        opened.define_metric("*", step_metric="env_steps")
+        if settings:
+            opened.define_metric("*", step_metric="env_steps")
         self._runs[run] = opened
         return held
 
