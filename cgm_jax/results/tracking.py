@@ -70,12 +70,16 @@ class Tracking:
         self.name = None if name is None else absolute(name)
         self._tracker: Tracker | None = None
         self._open: list[str] = []
+        self._closed: set[str] = set()
+        self._sent: dict[str, int] = {}
+        self._runs: dict[str, Mapping[str, Any]] = {}
         if name is None:
             return
         kind, folder = find_tracker(name), directory / "tracking" / label(name)
         self._record = folder.with_name(f"{folder.name}.json")
         folder.mkdir(parents=True, exist_ok=True)
-        self._sweep, self._sent, self._files = _read(self._record, directory)
+        kept = _read(self._record, directory)
+        self._sweep, self._sent, self._closed, self._files = kept
         self._attempt(lambda: setattr(self, "_tracker", kind(folder, self._sweep)))
 
     def __enter__(self) -> Self:
@@ -90,21 +94,30 @@ class Tracking:
         self.end()
 
     def begin(self, runs: Sequence[Run], rows: Sequence[Row]) -> None:
-        """Open runs, and send those of their rows that the tracker lacks."""
-        for run in runs:
-            self._begin(run.name, run.values)
-        self._settings = {run.name: {*run.values, "cgm", "epoch"} for run in runs}
+        """Open runs, and send those of their rows that the tracker lacks.
+
+        Runs that were closed wait for a row that is new.
+        """
+        self._runs = {run.name: run.values for run in runs}
+        for run in self._runs:
+            if run not in self._closed:
+                self._begin(run)
         self.send(rows)
 
     def send(self, rows: Sequence[Row]) -> None:
-        """Send rows that are in metrics.jsonl, of runs that are open."""
+        """Send rows that are in metrics.jsonl, of runs that `begin` was given."""
         for row in rows:
-            run, epoch = row["run"], row["epoch"]
-            if self._tracker is not None and epoch > self._sent.get(run, 0):
-                values = scalars(row, self._settings[run])
-                if self._attempt(self._tracker.metrics, run, epoch, values):
-                    self._sent[run] = epoch
+            if row["epoch"] > self._sent.get(row["run"], 0):
+                self._begin(row["run"])
+                self._send(row)
         self._keep()
+
+    def _send(self, row: Row) -> None:
+        run, epoch = row["run"], row["epoch"]
+        if self._tracker is not None and epoch > self._sent.get(run, 0):
+            values = scalars(row, {*self._runs[run], "cgm", "epoch"})
+            if self._attempt(self._tracker.metrics, run, epoch, values):
+                self._sent[run] = epoch
 
     def show(self, paths: Mapping[str, Path], epoch: int) -> None:
         """Send PNG and GIF files that are new or have changed, as of an epoch."""
@@ -124,21 +137,28 @@ class Tracking:
     def end(self) -> None:
         """Close all runs that are open."""
         for run in self._open:
-            if self._tracker is not None:
-                self._attempt(self._tracker.end, run)
+            if self._tracker is not None and self._attempt(self._tracker.end, run):
+                self._closed.add(run)
         self._open = []
+        self._keep()
 
-    def _begin(self, run: str, settings: Mapping[str, Any]) -> None:
-        if self._tracker is not None:
-            self._attempt(self._open_run, self._tracker, run, settings)
+    def _begin(self, run: str) -> None:
+        if self._tracker is not None and run not in self._open:
+            self._attempt(self._open_run, self._tracker, run, self._runs[run])
 
     def _open_run(self, tracker: Tracker, run: str, settings: Mapping[str, Any]) -> None:
         self._sent[run] = tracker.begin(run, settings, self._sent.get(run, 0))
         self._open.append(run)
+        self._closed.discard(run)
 
     def _keep(self) -> None:
         if self._tracker is not None:
-            kept = {"sweep": self._sweep, "sent": self._sent, "files": self._files}
+            kept = {
+                "sweep": self._sweep,
+                "sent": self._sent,
+                "closed": sorted(self._closed),
+                "files": self._files,
+            }
             self._attempt(_write, self._record, kept)
 
     def _attempt(self, action: Callable[..., object], *arguments: Any) -> bool:
@@ -169,21 +189,22 @@ def scalars(row: Row, settings: set[str]) -> dict[str, float]:
     return found
 
 
-def _read(path: Path, directory: Path) -> tuple[str, dict[str, int], dict[str, str]]:
-    """The sweep's label, the last epoch that was sent per run, and digests of files."""
+def _read(path: Path, directory: Path) -> tuple[str, dict[str, int], set[str], dict[str, str]]:
+    """The sweep's label, the last epoch sent per run, runs that are closed, digests of files."""
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
         kept = json.loads(path.read_bytes())
-        sweep, sent, files = kept["sweep"], dict(kept["sent"]), dict(kept["files"])
+        sweep, closed = kept["sweep"], set(kept["closed"])
+        sent, files = dict(kept["sent"]), dict(kept["files"])
         whole = isinstance(sweep, str) and all(type(epoch) is int for epoch in sent.values())
         if not whole or not 0 < len(sweep) < 300:
             raise ValueError("it holds something else than what was sent")
     except FileNotFoundError:
-        return f"{directory.absolute().name}-{secrets.token_hex(4)}", {}, {}
+        return f"{directory.absolute().name}-{secrets.token_hex(4)}", {}, set(), {}
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise SettingError(f"track: {path} is damaged: {type(error).__name__}: {error}") from None
-    return sweep, sent, files
+    return sweep, sent, closed, files
 
 
 def _write(path: Path, kept: Mapping[str, Any]) -> None:

@@ -155,6 +155,16 @@ def test_an_epoch_that_was_sent_but_not_recorded_is_named_to_the_tracker(
     assert failing.asked[-2:] == ["begin after 1", "epoch 2"]
 
 
+def test_a_run_that_is_whole_is_opened_again_only_for_more_epochs(
+    tmp_path: Path, runs: tuple[Run, ...], failing: Any
+) -> None:
+    for last in (2, 2, 3):
+        with Tracking(FAILING, tmp_path) as tracking:
+            tracking.begin(runs[:1], epoch_rows(runs[:1], *range(1, last + 1)))
+    whole = ["init", "begin after 0", "epoch 1", "epoch 2", "end"]
+    assert failing.asked == [*whole, "init", "init", "begin after 2", "epoch 3", "end"]
+
+
 @pytest.mark.parametrize(("holds", "sent"), [(0, [1, 2, 3]), (1, [2, 3]), (3, [])])
 def test_a_tracker_that_says_what_it_holds_is_sent_the_rest(
     holds: int, sent: list[int], tmp_path: Path, runs: tuple[Run, ...], failing: Any
@@ -185,7 +195,6 @@ def test_files_are_sent_when_they_are_new_or_have_changed(
         "begin after 0",
         "begin after 0",
         "files one other",
-        "begin after 0",
         "begin after 5",
         "files other",
     ]
@@ -236,7 +245,8 @@ def test_what_cannot_track_is_refused_before_anything_is_made(
 
 
 @pytest.mark.parametrize(
-    "record", ["", "[]", "{}", '{"sweep": "a", "sent": {"b": "1"}, "files": {}}', "[" * 10**5]
+    "record",
+    ["", "[]", "{}", '{"sweep": "a", "sent": {"b": "1"}, "closed": [], "files": {}}', "[" * 10**5],
 )
 def test_a_damaged_record_is_refused(record: str, tmp_path: Path) -> None:
     path = tmp_path / f"{FOLDER}.json"
