@@ -111,7 +111,15 @@ class TrainingOptions(SettingOptions):
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
 
-    track: Annotated[str | None, _choice_appearance(TRACK)] = None
+    track: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help=f"Show settings, metrics, figures and a video of the best policy in "
+            f"{', '.join(sorted(builtin(TRACK)))}, or FILE.py:NAME of your own, too.",
+            metavar="NAME",
+            help_behavior_hint="",
+        ),
+    ] = None
 
     def resumes(self, chosen: Grid) -> bool:
         """Whether to resume a directory, whose settings are then already chosen.

@@ -3,7 +3,7 @@
 DIR/config.json           everything needed to run it again, versions included
 DIR/metrics.jsonl         one object per run and epoch
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
-DIR/figures/*.png
+DIR/figures/*.png         and best_policy.gif, where a tracker is to have it
 DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
