@@ -12,6 +12,7 @@ from cgm_jax import sweep
 from cgm_jax.config.components import TRACK, builtin
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Run, build_groups
+from cgm_jax.host import session
 from cgm_jax.results.trackers.protocol import Tracker
 from cgm_jax.results.trackers.wandb import WeightsAndBiases
 from cgm_jax.results.tracking import Tracking, find_tracker, scalars
@@ -256,15 +257,18 @@ def test_a_damaged_record_is_refused(record: str, tmp_path: Path) -> None:
         Tracking(TEXT_FILE, tmp_path)
 
 
+def test_the_printed_command_continues_to_track() -> None:
+    assert session._how_to_resume(ROOT, TEXT_FILE).endswith(f"--resume {ROOT} --track {TEXT_FILE}")
+    assert session._how_to_resume(ROOT, None).endswith(f"--resume {ROOT}")
+
+
 @pytest.mark.slow
 def test_a_sweep_that_is_killed_and_resumed_is_tracked_whole(tmp_path: Path) -> None:
     out = tmp_path / "out"
     grid = ["--env", POINT_MASS, "--epochs", "5", "--checkpoint-seconds", "0"]
     tracked = command(*grid, "--out", str(out), "--track", TEXT_FILE)
     assert stop(tracked, after="epoch 2:", number=signal.SIGKILL)[0] == -signal.SIGKILL
-    code, text = stop(tracked, after="epoch 4:")
-    assert code == 75
-    assert f"--track {TEXT_FILE}" in text.splitlines()[-1]  # so that the command printed tracks on
+    assert stop(tracked, after="epoch 4:")[0] == 75
     finish(tracked)
     recorded = rows(out)
     for run in {row["run"] for row in recorded}:
