@@ -26,6 +26,7 @@ from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
+from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -125,6 +126,7 @@ def run_jobs(
     progress: SweepProgress,
     interruption: Interruption,
     checkpoint_seconds: float,
+    tracking: Tracking,
 ) -> list[Row] | None:
     """Train all jobs one after another, each from its last checkpoint.
 
@@ -134,6 +136,7 @@ def run_jobs(
         progress: is told of every chunk and epoch.
         interruption: says when to stop.
         checkpoint_seconds: least time between two checkpoints of a job, other than its last.
+        tracking: is sent what is recorded.
 
     Returns:
         The last row of every run; None if a signal came, and what was done is in a checkpoint.
@@ -151,10 +154,13 @@ def run_jobs(
         directory.replace_metrics(rows + training.rows)
         settings = job.group.settings
         progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
-        recorder = Recorder(directory, job.group, index, training.rows, checkpoint_seconds, swept)
+        recorder = Recorder(
+            directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
+        )
         if not _train(job, training, recorder, progress, interruption):
             return None
         progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
+        tracking.end()
         rows += training.rows
         last += training.rows[-len(job.group.runs) :]
     return last

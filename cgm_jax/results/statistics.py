@@ -1,4 +1,4 @@
-"""Small statistics of success rates and learning curves, in plain Python."""
+"""Small statistics of success rates and learning curves."""
 
 import math
 from collections.abc import Sequence
@@ -41,16 +41,15 @@ def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
     return at(0.25), at(0.5), at(0.75)
 
 
-def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Confidence interval of a success rate (Wilson 1927); z = 1.96 for 95 %.
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % confidence interval of a success rate (Wilson 1927).
 
     Raises:
         ValueError: no trials.
     """
+    from scipy.stats import binomtest  # takes a moment, and only evaluation needs it
+
     if trials < 1:
         raise ValueError("a success rate needs at least one trial")
-    rate = successes / trials
-    centre = (rate + z * z / (2 * trials)) / (1 + z * z / trials)
-    spread = math.sqrt(rate * (1 - rate) / trials + (z / (2 * trials)) ** 2)
-    spread *= z / (1 + z * z / trials)
-    return max(0.0, centre - spread), min(1.0, centre + spread)
+    interval = binomtest(successes, trials).proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)

@@ -3,7 +3,8 @@
 DIR/config.json           everything needed to run it again, versions included
 DIR/metrics.jsonl         one object per run and epoch
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
-DIR/figures/*.png
+DIR/figures/*.png         and best_policy.gif, where a tracker is to have it
+DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
 
@@ -39,7 +40,9 @@ from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 METRICS = "metrics.jsonl"
 CONFIG = "config.json"
-PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
+PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints", "tracking")
+
+WANDB_LOG = "debug-core.log"
 
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
@@ -371,7 +374,8 @@ def _check_name(name: Any) -> None:
 def _check_parts(path: Path) -> None:
     """Check that all parts of a run directory are ordinary files and directories.
 
-    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to.
+    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
+    that wandb makes beside its log is left alone, since nothing here opens it.
 
     Raises:
         SettingError: one is not.
@@ -380,6 +384,8 @@ def _check_parts(path: Path) -> None:
         for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
             for name in (*folders, *files):
                 found = Path(folder) / name
+                if part == "tracking" and name == WANDB_LOG and Path(folder).name == "logs":
+                    continue
                 try:
                     mode = found.lstat().st_mode
                 except OSError:  # there is none
