@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-slurm test-ray faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -37,6 +37,21 @@ $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	$(PYTHON) -m venv $(VENV)-sb3
 	$(VENV)-sb3/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
+	touch $@
+
+# Launches on a SLURM that runs on this machine meanwhile; installs Debian's if there is none.
+test-slurm: setup
+	tests/cgm_jax/launching/slurm.sh $(RUN) -m pytest tests/cgm_jax/launching/test_slurm.py $(ARGS)
+
+# Launches on a Ray cluster of two nodes on this machine. Ray is large, and so has an environment of
+# its own; its sockets need a short path.
+test-ray: $(VENV)-ray/.installed
+	TMPDIR=/tmp $(VENV)-ray/bin/python -m pytest tests/cgm_jax/launching/test_ray.py $(ARGS)
+
+$(VENV)-ray/.installed: requirements.lock tests/ray-requirements.txt
+	$(PYTHON) -m venv $(VENV)-ray
+	$(VENV)-ray/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/ray-requirements.txt
 	touch $@
 
 # Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.
@@ -69,4 +84,4 @@ lock:
 	rm -rf $(VENV)-lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-transfer .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-ray $(VENV)-transfer .pytest_cache .ruff_cache
