@@ -44,9 +44,10 @@ test-slurm: setup
 	tests/cgm_jax/launching/slurm.sh $(RUN) -m pytest tests/cgm_jax/launching/test_slurm.py $(ARGS)
 
 # Launches on a Ray cluster of two nodes on this machine. Ray is large, and so has an environment of
-# its own; its sockets need a short path.
+# its own; its sockets need a short path, and its logs go with them.
 test-ray: $(VENV)-ray/.installed
-	TMPDIR=/tmp $(VENV)-ray/bin/python -m pytest tests/cgm_jax/launching/test_ray.py $(ARGS)
+	export RAY_TMPDIR=$$(mktemp -d /tmp/ray.XXXXXX); trap 'rm -rf "$$RAY_TMPDIR"' EXIT; \
+	    $(VENV)-ray/bin/python -m pytest tests/cgm_jax/launching/test_ray.py $(ARGS)
 
 $(VENV)-ray/.installed: requirements.lock tests/ray-requirements.txt
 	$(PYTHON) -m venv $(VENV)-ray
