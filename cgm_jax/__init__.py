@@ -1,7 +1,7 @@
 """Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
 
-Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.evaluate`,
-`.benchmark`. Behind them, in rooms:
+Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.launch` (a
+sweep in parts) and `.merge`, `.evaluate`, `.benchmark`. Behind them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
@@ -13,7 +13,8 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
     machine/     what the process was given: cores, memory
-    results/     what is made of runs: figures, measured policies, videos, trackers
+    launching/   many processes for one sweep: this machine, SLURM, Ray
+    results/     what is made of runs: figures, merged parts, measured policies, videos, trackers
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 

@@ -12,6 +12,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, structure
 from cgm_jax.config.settings import Settings
+from cgm_jax.config.shards import Shard
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
@@ -25,13 +26,19 @@ if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job
 
 
-def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] | None) -> int:
+def train_groups(
+    options: TrainingOptions,
+    preset: str,
+    groups: Sequence[Group] | None,
+    shard: Shard | None = None,
+) -> int:
     """Train groups of runs, from the beginning or from where they were stopped.
 
     Args:
         options: where to, and how often to write checkpoints.
         preset: recorded in the directory.
         groups: what to train; None for what `options.resume` holds.
+        shard: of which sweep they are a part, if they are one.
 
     Returns:
         The exit code.
@@ -51,14 +58,14 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             # What own code the user names goes with what the directory holds.
             named = {kind: getattr(options, kind) or () for kind in NAMES}
             moved = RunDirectory.open(out).moved(named)
-        recorded = None if out is None else _recorded_groups(out, groups, moved)
+        recorded = None if out is None else _recorded_groups(out, groups, shard, moved)
         prepare_jax()
         import jax
 
         from cgm_jax.host.runner import plan_jobs
 
         jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
-        out = out or _new_directory(preset)
+        out = out or new_directory(preset)
         try:
             with (
                 RunDirectory.claimed(out, fresh=recorded is None) as directory,
@@ -66,7 +73,7 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             ):
                 device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                 if recorded is None:
-                    directory.write_config([job.group for job in jobs], preset, device)
+                    directory.write_config([job.group for job in jobs], preset, device, shard)
                 else:
                     notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
@@ -78,7 +85,7 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             return ExitCode.CANNOT_WRITE
 
 
-def _new_directory(preset: str) -> Path:
+def new_directory(preset: str) -> Path:
     """Make a directory named for the time, which nobody else gets, however many start at once.
 
     Raises:
@@ -103,13 +110,14 @@ def _made(path: Path) -> bool:
 
 
 def _recorded_groups(
-    out: Path, groups: Sequence[Group] | None, moved: Mapping[str, str]
+    out: Path, groups: Sequence[Group] | None, shard: Shard | None, moved: Mapping[str, str]
 ) -> list[Group] | None:
     """What the directory holds, as it was split; None if it is new.
 
     Args:
         out: the directory.
         groups: what is asked for; None for what the directory holds.
+        shard: of which sweep they are a part, if they are one.
         moved: environments that have been named again, see `RunDirectory.moved`.
 
     Raises:
@@ -121,7 +129,7 @@ def _recorded_groups(
     if not directory.holds_sweep():
         return None
     recorded = directory.groups()
-    if _merged(recorded) != _merged(groups):
+    if directory.shard() != shard or _merged(recorded) != _merged(groups):
         raise SettingError(f"out: {out} already holds a sweep with other settings or runs")
     return recorded
 
@@ -173,6 +181,22 @@ def _train(
     if rows is not None and tracking.name is not None:
         _show_results(directory, rows, figures, tracking)
     return ExitCode.STOPPED if rows is None else _verdict(rows)
+
+
+def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Say what a finished sweep has come to, draw its figures, and return its exit code.
+
+    Args:
+        directory: of the sweep.
+        rows: all rows of its metrics.
+    """
+    from cgm_jax.host.progress import physics_lines, summary_lines
+
+    last = list({row["run"]: row for row in rows}.values())
+    print("\n".join(summary_lines(last) + physics_lines(rows)))
+    _draw_figures(directory)
+    print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
+    return _verdict(last)
 
 
 def _draw_figures(directory: RunDirectory) -> list[Path]:

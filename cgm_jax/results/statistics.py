@@ -17,6 +17,24 @@ def holds(rates: Sequence[float | None], level: float) -> bool:
     return len(last) == HOLDING_EVALUATIONS and sum(last) / len(last) >= level - ROUNDING
 
 
+def have_finished(
+    rates: Sequence[float | None], runs: int, epoch: int, epochs: int, leave_at: float | None
+) -> bool:
+    """Whether runs that train side by side are done after a whole epoch.
+
+    Args:
+        rates: success of each run in each epoch so far, those of an epoch together.
+        runs: how many they are.
+        epoch: whole epochs done.
+        epochs: how many they train at most.
+        leave_at: success that all of them hold when they leave early; None if they do not.
+    """
+    if leave_at is None or not 0 < epoch < epochs:
+        return epoch >= epochs
+    last = rates[-HOLDING_EVALUATIONS * runs :]
+    return all(holds(last[i::runs], leave_at) for i in range(runs))
+
+
 def first_to_hold(rows: Sequence[dict[str, Any]], level: float) -> dict[str, Any] | None:
     """The first metrics row of one run at which it holds `level`: the last of three evaluations."""
     rates = [row["success_rate"] for row in rows]
