@@ -2,6 +2,7 @@
 
 figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
 policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for
-video.py       videos of their episodes
+video.py       videos of their episodes; best_policy.py one of a sweep's best policy
+tracking.py    what TensorBoard and others are sent; trackers/ each of them
 statistics.py  when a run holds a success
 """
