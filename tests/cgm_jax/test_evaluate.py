@@ -243,15 +243,8 @@ def test_a_video_stopped_midway_leaves_what_was_there_and_nothing_else(
 def test_ctrl_c_in_the_middle_of_a_video_is_one_line_and_leaves_no_file(
     suffix: str, tmp_path: Path
 ) -> None:
-    asked = [
-        "--episodes",
-        "100",
-        "--video",
-        f"{tmp_path}/video.{suffix}",
-        "--video-episodes",
-        "100",
-    ]
-    command = [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", "reach", *asked]
+    command = [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", "reach"]
+    command += ["--video", str(tmp_path / f"video.{suffix}"), "--video-episodes", "100"]
     with subprocess.Popen(
         command,
         stdout=subprocess.DEVNULL,
@@ -266,7 +259,7 @@ def test_ctrl_c_in_the_middle_of_a_video_is_one_line_and_leaves_no_file(
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60)
     assert process.returncode == 75
-    assert [line for line in error.splitlines() if not line.endswith("frames")] == ["stopped"]
+    assert [line for line in error.splitlines() if not line.endswith("frames")] == ["stopping"]
     assert not list(tmp_path.iterdir())
 
 
