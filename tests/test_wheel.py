@@ -11,6 +11,9 @@ import sys
 from pathlib import Path
 from cgm_jax import envs
 assert Path(envs.__file__).is_relative_to(sys.argv[1]), envs.__file__
+from cgm_jax.results.page.page import FOLDER, LIBRARIES
+parts = ("page.html", "page.css", "js/page.js", "vendor/LICENSE-d3", "vendor/LICENSE-plot")
+assert all((FOLDER / name).is_file() for name in (*parts, *LIBRARIES)), FOLDER
 for task in envs.TASKS:
     print(envs.make(task, engine="native").scene.model.nq)
 """

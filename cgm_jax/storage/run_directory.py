@@ -144,6 +144,21 @@ class RunDirectory:
         except OSError as error:
             raise SettingError(f"out: cannot write to {self.path}: {error.strerror}") from None
 
+    def config(self) -> dict[str, Any]:
+        """What config.json says, in the present format, unchecked but for its outline.
+
+        Raises:
+            SettingError: it is damaged, or of a newer version.
+        """
+        try:
+            config = upgraded(self._config())
+            for group in config["groups"]:
+                for run in group["runs"]:
+                    _check_name(run["name"])
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        return config
+
     def groups(self, moved: Mapping[str, str] | None = None) -> list[Group]:
         """The sweep's groups of runs, read back from its config.
 
