@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-page screenshot faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -37,6 +37,21 @@ $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	$(PYTHON) -m venv $(VENV)-sb3
 	$(VENV)-sb3/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
+	touch $@
+
+# The page of cgm_jax.report in Debian's Chromium; the fonts are for its picture.
+test-page: $(VENV)-page/.installed
+	$(VENV)-page/bin/python -m pytest tests/cgm_jax/results/page/test_browser.py $(ARGS)
+
+screenshot: $(VENV)-page/.installed
+	$(VENV)-page/bin/python -m tests.cgm_jax.results.page.screenshot experiments/results/page.png
+
+$(VENV)-page/.installed: requirements.lock tests/page-requirements.txt
+	command -v chromium >/dev/null || \
+	    { apt-get update && apt-get install --yes --no-install-recommends chromium fonts-inter; }
+	$(PYTHON) -m venv $(VENV)-page
+	$(VENV)-page/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/page-requirements.txt
 	touch $@
 
 # Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.
@@ -69,4 +84,4 @@ lock:
 	rm -rf $(VENV)-lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-transfer .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-page $(VENV)-transfer .pytest_cache .ruff_cache
