@@ -15,11 +15,12 @@ from typing import Any
 
 import jax
 
-from cgm_jax.config.components import ROOMS, component
+from cgm_jax.config.components import ROOMS, component, owners
 from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
 from cgm_jax.config.named import absolute, label
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
+from cgm_jax.config.spelling import spelled
 
 MAX_RUNS = 100_000
 
@@ -74,19 +75,14 @@ def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Gr
             chosen component has, or runs that would share a name.
     """
     runs: list[tuple[Settings, Run]] = []
-    used: dict[str, Any] = {}
     most = 1 if single else None
     ours = {name: values[:most] for name, values in preset_grid(preset).items()}
     for env in _axis({**ours, **options}, LOOP_FIELDS["env"]):
         ours = {name: values[:most] for name, values in preset_grid(preset, env).items()}
         grid = {**ours, **options, "env": [env]}
         for values in _combinations(grid):
-            used |= values
             runs.append(_settings_and_run(values, _swept(grid, values)))
-    for name in options:
-        if name not in used:
-            chosen = ", ".join(f"{kind} {used[kind]}" for kind in ROOMS)
-            raise SettingError(f"{name}: is no setting of {chosen}")
+    _check_used(options, [run.values for _, run in runs])
     names = [run.name for _, run in runs]
     if len(set(names)) < len(names):
         raise SettingError("env: two environments would give their runs the same names")
@@ -177,6 +173,22 @@ def _grouped(runs: Sequence[tuple[Settings, Run]]) -> list[Group]:
     for settings, run in runs:
         groups.setdefault(structure(settings, run.hyper), []).append(run)
     return [Group(settings, tuple(same)) for (settings, _), same in groups.items()]
+
+
+def _check_used(options: Grid, runs: Sequence[Values]) -> None:
+    """Check that every option is a setting of at least one run.
+
+    Raises:
+        SettingError: one is not; the message says what was chosen, and what has such a setting.
+    """
+    used = {name for values in runs for name in values}
+    for name in options:
+        if name not in used:
+            chosen = {kind: dict.fromkeys(values[kind] for values in runs) for kind in ROOMS}
+            text = ", ".join(f"{kind} {' or '.join(names)}" for kind, names in chosen.items())
+            having = " or ".join(f"{kind} {owner}" for kind, owner in owners().get(name, []))
+            hint = f"; it is one of {having}" if having else ""
+            raise SettingError(f"{name}: is no setting of {text}{hint}")
 
 
 def _combinations(grid: Grid) -> list[Values]:
@@ -275,22 +287,14 @@ def _run_name(values: Values, swept: Sequence[str]) -> str:
     parts.append(label(values["curriculum"]))
     told = {"seed", "her", "env", *ROOMS}
     if values["curriculum"] == "cgm":
-        parts[-1] += f"-cg{_text(values['c_g'])}-kappa{_text(values['kappa'])}"
+        parts[-1] += f"-cg{spelled(values['c_g'])}-kappa{spelled(values['kappa'])}"
         told |= {"c_g", "kappa"}
     if "relabelling" in swept:
         parts.append(label(values["relabelling"]))
     idle = _idle(values)
     told |= idle
-    parts += [f"{n.replace('_', '')}{_text(values[n])}" for n in swept if n not in told]
+    parts += [f"{n.replace('_', '')}{spelled(values[n])}" for n in swept if n not in told]
     name = "_".join([*parts, f"seed{values['seed']}"])
     if len(os.fsencode(name)) > MAX_NAME:
         raise SettingError(f"env: a run's file would have too long a name, {name[:60]}...")
     return name
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    if isinstance(value, tuple):
-        return "x".join(str(width) for width in value)
-    return f"{value:.12g}" if isinstance(value, float) else str(value)

@@ -1,6 +1,7 @@
 """The process around training: signals, memory, progress.
 
-    command_line.py     options to settings; exit_codes.py what a program ends with
+    command_line.py     what sweep and train are asked for; exit_codes.py what a program ends with
+    setting_options.py  an option per setting, and what --help says of it
     session.py          from groups of runs to an exit code
     runner.py           the loop over chunks of training; pace.py how long a chunk may be
     recorder.py         what is written after an epoch; progress.py what is shown

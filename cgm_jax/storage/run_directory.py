@@ -325,8 +325,9 @@ def _group(entry: Any) -> Group:
         values = dict(values)
         name = values.pop("name")
         _check_name(name)
-        if "hidden_layers" in values:
-            values["hidden_layers"] = tuple(values["hidden_layers"])
+        for key, value in values.items():
+            if isinstance(value, list):  # JSON knows no tuples
+                values[key] = tuple(value)
         pairs.append(run_of(name, values))
     settings = {structure(static, run.hyper): static for static, run in pairs}
     ((_, static),) = settings.items()  # runs of one group share a program
