@@ -80,8 +80,7 @@ def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Gr
     for env in _axis({**ours, **options}, LOOP_FIELDS["env"]):
         ours = {name: values[:most] for name, values in preset_grid(preset, env).items()}
         grid = {**ours, **options, "env": [env]}
-        for values in _combinations(grid):
-            runs.append(_settings_and_run(values, _swept(grid, values)))
+        runs += [_settings_and_run(values, _swept(grid, values)) for values in _combinations(grid)]
     _check_used(options, [run.values for _, run in runs])
     names = [run.name for _, run in runs]
     if len(set(names)) < len(names):
