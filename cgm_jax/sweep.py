@@ -4,14 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cgm_jax.config.grid import build_groups
-from cgm_jax.host.command_line import (
-    TrainingOptions,
-    chosen_values,
-    parse,
-    run_program,
-    seed_values,
-)
+from cgm_jax.host.asked import asked_for
+from cgm_jax.host.command_line import TrainingOptions, parse, run_program
 from cgm_jax.host.session import train_groups
 
 
@@ -36,10 +30,7 @@ class SweepOptions(TrainingOptions):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SweepOptions, arguments, "python -m cgm_jax.sweep")
-    preset = options.preset or options.default_preset
-    chosen = seed_values(options, chosen_values(options))
-    groups = None if options.resumes(chosen) else build_groups(preset, chosen)
-    return train_groups(options, preset, groups)
+    return train_groups(options, asked_for(options))
 
 
 if __name__ == "__main__":

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import build_groups
-from cgm_jax.host.command_line import TrainingOptions, chosen_values, parse, run_program
+from cgm_jax.host.asked import asked_for
+from cgm_jax.host.command_line import TrainingOptions, parse, run_program
 from cgm_jax.host.session import train_groups
 
 
@@ -26,14 +25,7 @@ class TrainOptions(TrainingOptions):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(TrainOptions, arguments, "python -m cgm_jax.train")
-    chosen = chosen_values(options)
-    for name, values in chosen.items():
-        if len(values) > 1:
-            raise SettingError(f"{name}: takes one value here; cgm_jax.sweep takes several")
-    preset = options.preset or options.default_preset
-    if options.resumes(chosen):
-        return train_groups(options, preset, None)
-    return train_groups(options, preset, build_groups(preset, chosen, single=True))
+    return train_groups(options, asked_for(options))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NoReturn, TypeVar
@@ -66,8 +66,28 @@ class TrainingOptions(SettingOptions):
     """Directory for the results (default: runs/PRESET-TIME)."""
 
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Directory of a sweep that was stopped: resume it. Takes no settings; but files of your
-    own that have moved or were edited are named again, with --env and the like."""
+    """Directory of a sweep that was stopped, or is to be trained for more --epochs: resume it. Its
+    settings stay; but files of your own that have moved or were edited are named again, with --env
+    and the like."""
+
+    start: Annotated[
+        Path | None, tyro.conf.arg(name="from", metavar="DIR|FILE.npz", help_behavior_hint="")
+    ] = None
+    """Start from what another run has learned: a run directory (agent and normaliser as they were
+    at its last checkpoint) or a policy file (actor and normaliser). Shapes must agree."""
+
+    from_run: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Which run of --from DIR, if it has several."""
+
+    dry_run: bool = False
+    """Only say what would be trained, in which programs, and what it takes of memory and time, for
+    which each program is compiled and run for some seconds. Makes no directory."""
+
+    config: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE.toml|DIR", help_behavior_hint="")
+    ] = None
+    """Settings from a file: a settings.toml, or the config.json of a run directory, which trains it
+    again. What is given here comes before the file."""
 
     set: Annotated[
         tuple[str, ...],
@@ -75,10 +95,14 @@ class TrainingOptions(SettingOptions):
     ] = ()
     """Settings of a curriculum, agent or relabelling of your own; several numbers as 64x64."""
 
+    csv: bool = False
+    """Write metrics.csv, the rows of metrics.jsonl as a table, at the end, and whenever the
+    directory is resumed; of a finished one with --resume DIR --csv."""
+
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
 
-    def resumes(self, chosen: Grid) -> bool:
+    def resumes(self) -> bool:
         """Whether to resume a directory, whose settings are then already chosen.
 
         Raises:
@@ -89,17 +113,18 @@ class TrainingOptions(SettingOptions):
             raise SettingError(
                 f"checkpoint_seconds: {seconds} is not a finite number of at least 0"
             )
-        for name in ("out", "resume"):
+        for name in ("out", "resume", "config", "start"):
             if getattr(self, name) == Path():
-                raise SettingError(f"{name}: is empty")
+                raise SettingError(f"{name.replace('start', 'from')}: is empty")
+        if self.from_run is not None and self.start is None:
+            raise SettingError("from_run: goes with --from DIR")
         if self.preset and self.preset not in PRESETS:
             choices = ", ".join(PRESETS)
             raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
         if self.resume is None:
             return False
-        # Own code may be named again: it has moved, or was edited.
-        settings = [name for name in chosen if name not in NAMES]
-        others = [*settings, *(name for name in ("preset", "out") if getattr(self, name))]
+        names = {"preset": "preset", "out": "out", "config": "config", "start": "from"}
+        others = [shown for name, shown in names.items() if getattr(self, name)]
         if others:
             raise SettingError(
                 f"resume: a sweep resumes as it was begun, without {', '.join(others)}"
@@ -115,24 +140,29 @@ def name_own_code(grid: Grid) -> None:
                 name_now(text)
 
 
-def chosen_values(options: Any) -> Grid:
-    """The lists that the user gave, by setting; own code in them may run from now on."""
+def chosen_values(options: Any, components: Mapping[str, Sequence[str]] | None = None) -> Grid:
+    """The lists that the user gave, by setting; own code in them may run from now on.
+
+    Args:
+        options: of sweep or train.
+        components: what a file chooses where options do not, by kind.
+    """
     grid = given_settings(options)
     name_own_code(grid)
-    return {**grid, **_set_values(options.set, grid)}
+    return {**grid, **_set_values(options.set, {**(components or {}), **grid})}
 
 
-def _set_values(texts: Sequence[str], grid: Grid) -> Grid:
+def _set_values(texts: Sequence[str], chosen: Mapping[str, Sequence[str]]) -> Grid:
     """Values that `--set NAME=VALUE,VALUE` gives, read as the setting has them.
 
     Args:
         texts: what was given.
-        grid: says which components are chosen, whose settings these may be.
+        chosen: components by kind, whose settings these may be.
 
     Raises:
         SettingError: a text is not of that form, or a value not of the setting's type.
     """
-    fields = LOOP_FIELDS | builtin_fields() | own_fields(grid)
+    fields = LOOP_FIELDS | builtin_fields() | own_fields(chosen)
     values: Grid = {}
     for text in texts:
         name, equals, words = text.partition("=")
@@ -150,7 +180,7 @@ def seed_values(options: Any, grid: Grid) -> Grid:
     Raises:
         SettingError: N is below 1, or `--seed` is given as well.
     """
-    if options.seeds is None:
+    if getattr(options, "seeds", None) is None:
         return grid
     if "seed" in grid:
         raise SettingError("seeds: give either --seeds (how many) or --seed (which), not both")

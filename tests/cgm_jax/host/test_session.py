@@ -31,12 +31,13 @@ from jax.experimental.buffer_callback import buffer_callback
 
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, run_of
+from cgm_jax.config.grid import Group, build_groups, run_of
 from cgm_jax.config.settings import Settings
 from cgm_jax.host import recorder, runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results import figures
 from cgm_jax.storage.lock import InUseError, locked
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
 from tests.examples.point_mass import PointMass
 
@@ -67,9 +68,15 @@ def trainers() -> Callable[..., Any]:
 
 @pytest.fixture(scope="module")
 def programs() -> Callable[..., Any]:
-    made: dict[int, Any] = {}
+    made: dict[Any, Any] = {}
     make = runner.make_programs
-    return lambda trainer: made.setdefault(id(trainer), make(trainer))
+
+    def make_once(trainer: Any) -> Any:  # whatever the number of epochs, which is the host's
+        env, settings = trainer.setup.env, trainer.setup.settings
+        key = (env, dataclasses.replace(settings, epochs=EPOCHS))
+        return made.setdefault(key, make(trainer))._replace(trainer=trainer)
+
+    return make_once
 
 
 def train(out: Path, *options: str) -> int:
@@ -392,16 +399,79 @@ def test_a_directory_in_use_is_refused_and_left_alone(whole: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--epochs", "5"], "already holds a sweep with other settings or runs"),
-        (["--seed", "1"], "already holds a sweep with other settings or runs"),
-        (["--kappa", "32", "4"], "already holds a sweep with other settings or runs"),
+        (["--epochs", "3"], "epochs 4, not 3$"),
+        (["--epochs", "5"], "epochs 4, not 5; to train it for longer: .*--resume .* --epochs 5$"),
+        (["--seed", "1"], "seed 0, not 1$"),
+        (["--kappa", "32", "4"], "these values in another order$"),
+        (["--kappa", "4", "--epochs", "5"], "epochs 4, not 5; kappa 4 32, not 4$"),
+        (
+            ["--agent", "sac", "--curriculum", "full"],
+            "curriculum cgm, not full; agent ddpg, not sac; .*; and 1[0-9] more$",
+        ),
+        (["--hidden-layers", "32x32", "8"], "hidden_layers 32x32, not 32x32 8$"),
     ],
 )
-def test_another_sweep_in_the_same_directory_is_refused(
+def test_another_sweep_in_the_same_directory_is_refused_with_what_differs(
     options: list[str], complaint: str, whole: Path
 ) -> None:
-    with pytest.raises(SettingError, match=complaint):
+    with pytest.raises(SettingError, match=f"^out: {whole} already holds a sweep .*{complaint}"):
         train(whole, *options)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (
+            ["--kappa", "4"],
+            "kappa: .* was begun with 4 32, not 4; a sweep resumes as it was begun$",
+        ),
+        (["--seeds", "2"], "seed: .* was begun with 0, not 0 1; "),
+        (["--target-noise", "0.1"], "target_noise: .* was begun with none, not 0.1; "),
+        (["--epochs", "3"], "epochs: 3 are fewer than the 4 that .* has begun$"),
+        (["--epochs", "0"], "epochs: 0 are fewer than the 4 "),
+        (["--epochs", "5", "6"], "epochs: takes one value with --resume$"),
+        (["--epochs", "1000000000"], "epochs: .* env_steps in all are more than can be counted$"),
+    ],
+)
+def test_resuming_with_other_settings_is_refused_with_both_values(
+    options: list[str], complaint: str, whole: Path
+) -> None:
+    before = (whole / "config.json").read_bytes()
+    with pytest.raises(SettingError, match=f"^{complaint}"):
+        sweep.main(["--resume", str(whole), *options])
+    assert (whole / "config.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_more_epochs_give_the_bits_of_a_sweep_that_was_asked_for_them_from_the_start(
+    stopped: bool,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    if stopped:  # in its second epoch of three
+        stop_at_epoch(monkeypatch, 2, out, "--epochs", "3", *ALWAYS)
+    else:
+        assert train(out, "--epochs", "2") == 0
+    before = 3 if stopped else 2
+    capsys.readouterr()
+    # Settings that are as they were may be given again.
+    assert sweep.main(["--resume", str(out), "--epochs", "4", "--kappa", "4", "32"]) == 0
+    assert f"4 epochs instead of {before}" in capsys.readouterr().err
+    assert_same_results(whole, out)
+    config = json.loads((out / "config.json").read_text())
+    assert {run["epochs"] for group in config["groups"] for run in group["runs"]} == {4}
+    assert config["resumed"][-1]["changed"] == [f"epochs {before} (now 4)"]
+    assert train(out) == 0  # the same as a sweep of four epochs from now on
+
+
+def test_sweeps_that_compare_numbers_of_epochs_are_not_trained_for_longer(tmp_path: Path) -> None:
+    with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
+        directory.write_config(build_groups("smoke", {"epochs": [1, 2]}), "smoke", "cpu")
+    with pytest.raises(SettingError, match="^epochs: .* compares 1 and 2 epochs, which stay$"):
+        sweep.main(["--resume", str(directory.path), "--epochs", "4"])
 
 
 @pytest.mark.parametrize(
