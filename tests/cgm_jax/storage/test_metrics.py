@@ -1,9 +1,12 @@
 """Rows of metrics in memory and as lines."""
 
+import csv
+import io
+
 import numpy as np
 import pytest
 
-from cgm_jax.storage.metrics import from_lines, plain_row, to_lines
+from cgm_jax.storage.metrics import from_lines, plain_row, to_csv, to_lines
 
 ROW = plain_row(
     {
@@ -51,3 +54,34 @@ def test_rows_become_lines_of_json_and_lines_the_same_rows() -> None:
 def test_a_line_that_is_no_object_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match=r".+"):
         from_lines([LINE, line])
+
+
+def test_a_table_has_a_cell_per_number_and_a_word_per_swept_setting() -> None:
+    swept = {"swept": ["hidden_layers"], "reported": ["a", "b"]}
+    shared = {"success_rate": 0.5, "cgm": True, "failure": None, **swept}
+    rows = [
+        {
+            **shared,
+            "hidden_layers": [8, 16],
+            "swept": ["hidden_layers"],
+            "mask_share": [0.25, None],
+        },
+        {**shared, "hidden_layers": [8], "mask_share": None},
+    ]
+    one, other = csv.DictReader(io.StringIO(to_csv(rows)))
+    assert one == {
+        "success_rate": "0.5",
+        "cgm": "True",
+        "failure": "",
+        "reported": "a b",
+        "hidden_layers": "8x16",
+        "swept": "hidden_layers",
+        "mask_share_0": "0.25",
+        "mask_share_1": "",
+    }
+    assert (other["hidden_layers"], other["mask_share_0"]) == ("8", "")
+
+
+def test_a_table_names_the_cells_of_lists_of_lists_and_quotes_words_with_commas() -> None:
+    text = to_csv([{"run": "a,b", "share": [[1, 2], [3, 4]]}])
+    assert text == 'run,share_0_0,share_0_1,share_1_0,share_1_1\n"a,b",1,2,3,4\n'
