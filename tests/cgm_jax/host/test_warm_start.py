@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cgm_jax.config.components import builtin
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups
 from cgm_jax.host.checkpoint import TrainingProgress, save_checkpoint
@@ -23,7 +24,7 @@ from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
-AGENTS = ("ddpg", "td3", "sac")
+AGENTS = sorted(builtin("agent"))
 TAKEN = ("agent", "normaliser.observation", "normaliser.goal")
 
 
