@@ -6,31 +6,24 @@ which count as if they came from one epoch of the new run; all else of the agent
 curriculum, counters and seeds are the new run's own in both cases, and so is every setting.
 """
 
-# Brax types the parts of its statistics as unknown.
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.types import UInt64
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.checkpoint import named_leaves, restore_leaf, stored_like
-from cgm_jax.loop.normaliser import Normaliser
+from cgm_jax.loop.normaliser import with_statistics
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs
 from cgm_jax.storage.arrays import read_arrays, read_shapes
 from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
 from cgm_jax.storage.policies import MAX_POLICY_BYTES, load_policy
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_groups
-
-if TYPE_CHECKING:
-    from brax.training.acme.running_statistics import RunningStatisticsState
 
 TAKEN = (".agent", ".normaliser.observation", ".normaliser.goal")
 """Parts of a training state that another run's take the place of. The limit to which normalised
@@ -91,7 +84,7 @@ def start_from(
     actor = _actor(source, mask_input=settings.mask_input)
     _check_policy(source, actor, hyper, state)
     take = jax.vmap(lambda one, agent: one.agent.with_actor(agent, actor))
-    observe = jax.vmap(lambda own: _statistics(source, own, episodes * env.episode_length))
+    observe = jax.vmap(lambda own: with_statistics(own, source, episodes * env.episode_length))
     compute: Callable[..., Any] = jax.eval_shape if _is_shape(state) else lambda f, *x: f(*x)
     return state.replace(
         agent=compute(take, hyper, state.agent), normaliser=compute(observe, state.normaliser)
@@ -201,19 +194,3 @@ def _widths(actor: Any) -> str:
     layers = actor["params"]
     kernels = [layers[f"layer_{i}"]["kernel"].shape[-2:] for i in range(len(layers))]
     return "x".join(map(str, [kernels[0][0], *(width for _, width in kernels)]))
-
-
-def _statistics(policy: Arrays, own: Normaliser, count: int) -> Normaliser:
-    """The statistics of a policy file, as if they came from so many rows."""
-
-    def taken(kind: str, statistics: "RunningStatisticsState") -> "RunningStatisticsState":
-        mean, std = (jnp.asarray(policy[f"{kind}_{part}"]) for part in ("mean", "std"))
-        seen = statistics.count
-        assert isinstance(seen, UInt64)
-        number = UInt64(hi=jnp.zeros_like(seen.hi), lo=jnp.full_like(seen.lo, count))
-        squares = jnp.square(std) * count
-        return statistics.replace(mean=mean, std=std, count=number, summed_variance=squares)
-
-    return own.replace(
-        observation=taken("observation", own.observation), goal=taken("goal", own.goal)
-    )

@@ -1,6 +1,7 @@
 """What a run takes over from another one, and what it does not."""
 
-# pyright: reportAttributeAccessIssue=false
+# Brax types the parts of its statistics as unknown.
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
 
 import dataclasses
 from pathlib import Path
