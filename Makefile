@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 test-slurm test-ray test-tracking test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -96,6 +96,21 @@ $(VENV)-ray/.installed: requirements.lock tests/ray-requirements.txt
 	$(PYTHON) -m venv $(VENV)-ray
 	$(VENV)-ray/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --requirement requirements.lock --requirement tests/ray-requirements.txt
+	touch $@
+
+# The page of cgm_jax.report in Debian's Chromium; the fonts are for its picture.
+test-page: $(VENV)-page/.installed
+	$(VENV)-page/bin/python -m pytest tests/cgm_jax/results/page/test_browser.py $(ARGS)
+
+screenshot: $(VENV)-page/.installed
+	$(VENV)-page/bin/python -m tests.cgm_jax.results.page.screenshot experiments/results/page.png
+
+$(VENV)-page/.installed: requirements.lock tests/page-requirements.txt
+	command -v chromium >/dev/null || \
+	    { apt-get update && apt-get install --yes --no-install-recommends chromium fonts-inter; }
+	$(PYTHON) -m venv $(VENV)-page
+	$(VENV)-page/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/page-requirements.txt
 	touch $@
 
 # Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.

@@ -43,6 +43,7 @@ from cgm_jax.agents.networks import (
     init_gaussian_actor,
     init_networks,
     mean_actor,
+    with_mean,
 )
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, shared, traced
@@ -124,6 +125,10 @@ class SAC(Agent[SACState]):
     def actor(self, state: SACState) -> Parameters:
         """The actor without its noise, tanh(mean)."""
         return mean_actor(state.actor)
+
+    def with_actor(self, state: SACState, actor: Parameters) -> SACState:
+        """The state with an actor of these means; its standard deviations stay."""
+        return state.replace(actor=with_mean(state.actor, actor))
 
     def critic_loss(
         self, critic: tuple[Parameters, ...], state: SACState, batch: NoisyMinibatch

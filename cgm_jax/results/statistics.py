@@ -59,6 +59,26 @@ def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
     return at(0.25), at(0.5), at(0.75)
 
 
+def median_interval(
+    values: Sequence[float], confidence: float = 0.95
+) -> tuple[float, float] | None:
+    """Interval of the median from which independent values were drawn, whatever their distribution.
+
+    From the k-th smallest to the k-th largest value, with the largest k such that the binomial
+    chance to miss, 2 P(B < k) for B of n halves, is at most 1 - confidence (David and Nagaraja,
+    Order Statistics, section 7.1). None where even the whole range does not suffice, which is so
+    for fewer than six values at 95 %.
+    """
+    ordered, count = sorted(values), len(values)
+    missed, best = 0.0, None
+    for k in range(1, count // 2 + 1):
+        missed += 2 * math.comb(count, k - 1) / 2**count
+        if missed > 1 - confidence:
+            break
+        best = ordered[k - 1], ordered[-k]
+    return best
+
+
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """95 % confidence interval of a success rate (Wilson 1927).
 

@@ -78,7 +78,7 @@ def test_a_part_is_a_number_of_a_number() -> None:
 def test_a_directory_knows_which_part_it_holds(groups: list[Group], tmp_path: Path) -> None:
     pieces, shard = cut(groups, 2, 3)
     with RunDirectory.claimed(tmp_path / "part", fresh=True) as directory:
-        directory.write_config(pieces, "smoke", "cpu", shard)
+        directory.write_config(pieces, "smoke", "cpu", shard=shard)
     assert directory.shard() == shard
     assert directory.groups() == pieces
     assert _recorded_groups(directory.path, pieces, shard, {}) == pieces
@@ -105,7 +105,7 @@ def test_a_damaged_part_is_refused(
 ) -> None:
     pieces, shard = cut(groups, 2, 3)
     with RunDirectory.claimed(tmp_path / "part", fresh=True) as directory:
-        directory.write_config(pieces, "smoke", "cpu", shard)
+        directory.write_config(pieces, "smoke", "cpu", shard=shard)
     config = json.loads(directory.config_bytes())
     config["shard"] |= change
     (directory.path / "config.json").write_text(json.dumps(config))
