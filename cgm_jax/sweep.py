@@ -26,6 +26,9 @@ class SweepOptions(TrainingOptions):
     seeds: int | None = None
     """How many seeds: short for --seed 0 1 2 ..."""
 
+    shard: str | None = None
+    """I/N: train only the I-th of N parts of the sweep; cgm_jax.merge puts them together."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""

@@ -8,6 +8,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups, groups_again
 from cgm_jax.config.presets import Grid
 from cgm_jax.config.settings import LOOP_FIELDS
+from cgm_jax.config.shards import Shard, cut, parse_shard
 from cgm_jax.host.command_line import TrainingOptions, chosen_values, seed_values
 from cgm_jax.host.setting_options import given_settings
 from cgm_jax.host.settings_file import SettingsFile, read_settings_file, typed
@@ -25,6 +26,7 @@ class Asked(NamedTuple):
         groups: what to train; None to resume a directory.
         start: a file or a directory to start from; None for from scratch.
         start_run: which run of it; None if it has one only.
+        shard: which part of a sweep the groups are, if they are one.
     """
 
     preset: str
@@ -32,6 +34,7 @@ class Asked(NamedTuple):
     groups: list[Group] | None
     start: Path | None = None
     start_run: str | None = None
+    shard: Shard | None = None
 
     @property
     def origin(self) -> str | None:
@@ -42,12 +45,24 @@ class Asked(NamedTuple):
 
 
 def asked_for(options: TrainingOptions) -> Asked:
-    """What options ask for.
+    """What options ask for: a whole sweep, or with --shard a part of it.
 
     Raises:
         SettingError: they are out of their range or in contradiction, or ask for nothing that
             could be trained.
     """
+    text = getattr(options, "shard", None)
+    piece = None if text is None else parse_shard(text)
+    if piece is not None and options.resume is not None:
+        raise SettingError("resume: a sweep resumes as it was begun, without shard")
+    asked = _whole(options)
+    if piece is None or asked.groups is None:
+        return asked
+    groups, shard = cut(asked.groups, *piece)
+    return asked._replace(groups=groups, shard=shard)
+
+
+def _whole(options: TrainingOptions) -> Asked:
     file = SettingsFile()
     if options.config is not None:
         file = read_settings_file(options.config)

@@ -23,6 +23,8 @@ from cgm_jax.host.extension import extended
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.results.tracking import Tracking, find_tracker
+from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_origin
 
 if TYPE_CHECKING:  # runner imports JAX
@@ -46,6 +48,8 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
     out = options.resume or options.out
     with Interruption(ends_process=owns_process()) as interruption, ExitStack() as shown:
         progress = shown.enter_context(SweepProgress())
+        if options.track is not None:
+            find_tracker(options.track)
         moved = {}
         restored = None if out is None or options.dry_run else RunDirectory(out).restore_config()
         if restored is not None:
@@ -66,22 +70,25 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         if options.dry_run:
             shown.close()
             return show_plan(jobs, notes, RunDirectory(out) if recorded and out else None)
-        out = out or _new_directory(asked.preset)
+        out = out or new_directory(asked.preset)
         try:
-            with RunDirectory.claimed(out, fresh=recorded is None) as directory:
+            with (
+                RunDirectory.claimed(out, fresh=recorded is None) as directory,
+                Tracking(options.track, out) as tracking,
+            ):
                 device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                 if recorded is None:
                     if start is not None:
                         directory.write_start(start)
                     groups = [job.group for job in jobs]
-                    directory.write_config(groups, asked.preset, device, asked.origin)
+                    directory.write_config(groups, asked.preset, device, asked.shard, asked.origin)
                 else:
                     notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
-                return _train(jobs, directory, interruption, options, shown, progress)
+                return _train(jobs, directory, interruption, options, shown, progress, tracking)
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            print(_how_to_resume(out), file=sys.stderr)
+            print(_how_to_resume(out, options.track), file=sys.stderr)
             return ExitCode.CANNOT_WRITE
 
 
@@ -101,7 +108,7 @@ def _start(asked: Asked, jobs: "Sequence[Job]") -> dict[str, np.ndarray] | None:
     return start
 
 
-def _new_directory(preset: str) -> Path:
+def new_directory(preset: str) -> Path:
     """Make a directory named for the time, which nobody else gets, however many start at once.
 
     Raises:
@@ -150,6 +157,8 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
         now, then = asked.origin or "nothing", before or "nothing"
         raise SettingError(f"from: {out} was begun from {then}, not from {now}")
     recorded = directory.groups()
+    if directory.shard() != asked.shard:
+        raise SettingError(f"out: {out} already holds another part, or a whole sweep")
     check_same(out, recorded, asked.groups)
     return recorded
 
@@ -177,6 +186,7 @@ def _train(
     options: TrainingOptions,
     shown: ExitStack,
     progress: SweepProgress,
+    tracking: Tracking,
 ) -> int:
     """Train, and say and draw what came of it.
 
@@ -187,6 +197,7 @@ def _train(
         options: how often to write checkpoints, and whether to write a table.
         shown: what is on the terminal until training ends.
         progress: part of that.
+        tracking: is told of every epoch.
     """
     from cgm_jax.host.runner import run_jobs
 
@@ -196,31 +207,69 @@ def _train(
     )
     try:
         with shown:
-            rows = run_jobs(jobs, directory, progress, interruption, options.checkpoint_seconds)
+            seconds = options.checkpoint_seconds
+            rows = run_jobs(jobs, directory, progress, interruption, seconds, tracking)
     except DeviceError as error:
         print(f"error: {error}", file=sys.stderr)
-        print(_how_to_resume(directory.path), file=sys.stderr)
+        print(_how_to_resume(directory.path, tracking.name), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:
-        print(f"stopped; {_how_to_resume(directory.path)}", file=sys.stderr)
+        print(f"stopped; {_how_to_resume(directory.path, tracking.name)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
-    _draw_figures(directory)
+    figures = _draw_figures(directory)
+    if rows is not None and tracking.name is not None:
+        _show_results(directory, rows, figures, tracking)
     if options.csv or directory.has_csv():
         directory.write_csv()
     return ExitCode.STOPPED if rows is None else _verdict(rows)
 
 
-def _draw_figures(directory: RunDirectory) -> None:
+def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Say what a finished sweep has come to, draw its figures, and return its exit code.
+
+    Args:
+        directory: of the sweep.
+        rows: all rows of its metrics.
+    """
+    from cgm_jax.host.progress import physics_lines, summary_lines
+
+    last = list({row["run"]: row for row in rows}.values())
+    print("\n".join(summary_lines(last) + physics_lines(rows)))
+    _draw_figures(directory)
+    print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
+    return _verdict(last)
+
+
+def _draw_figures(directory: RunDirectory) -> list[Path]:
     """Draw what can be drawn; training is done, and its outcome does not depend on it."""
     try:
         from cgm_jax.results.figures import draw_figures
 
-        draw_figures(directory)
+        return draw_figures(directory)
     except Exception as error:
         line = str(error).partition("\n")[0]
         print(f"no figures drawn: {type(error).__name__}: {line}", file=sys.stderr)
+        return []
+
+
+def _show_results(
+    directory: RunDirectory,
+    rows: Sequence[Row],
+    figures: Sequence[Path],
+    tracking: Tracking,
+) -> None:
+    """Send figures and a video of the best policy to the tracker, where it can be made."""
+    shown = {f"figures/{path.stem}": path for path in figures}
+    try:
+        from cgm_jax.results.best_policy import film_best_policy
+
+        shown["best_policy"] = film_best_policy(directory, rows)
+    except Exception as error:
+        line = str(error).partition("\n")[0]
+        print(f"no video of the best policy: {line}", file=sys.stderr)
+    tracking.show(shown, max(row["epoch"] for row in rows))
 
 
 def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
@@ -237,5 +286,6 @@ def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
     return ExitCode.DIVERGED if diverged or dropped else ExitCode.DONE
 
 
-def _how_to_resume(out: Path) -> str:
-    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out)}"
+def _how_to_resume(out: Path, tracker: str | None) -> str:
+    track = [] if tracker is None else ["--track", tracker]
+    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out, *track)}"

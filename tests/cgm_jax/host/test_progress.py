@@ -7,10 +7,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from cgm_jax.host.progress import SweepProgress
+from cgm_jax.launching.progress import JointProgress
 
 NAMES = [f"reach_cgm_seed{seed}" for seed in range(3)]
 
@@ -82,3 +84,20 @@ def test_nothing_stays_of_the_bar_of_a_sweep_that_is_refused(
         raise ValueError("refused")
     last = written.decode().rpartition("\x1b[2K")[2]
     assert "compiling" not in last
+
+
+def test_lines_in_a_log_are_as_long_as_what_they_say(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    rows = [{"run": name, "success_rate": 0.5, "env_steps": 10**9} for name in NAMES]
+    with SweepProgress(10) as progress:
+        progress.epoch(1, rows)
+    with JointProgress({1: Path("none")}, {1: 10}) as joint:
+        joint._next_line = 0.0
+        joint.show([], 1)
+    epoch, parts = capsys.readouterr().err.splitlines()
+    assert epoch.startswith(
+        "epoch 1: 1,000,000,000 environment steps, success median 50 % of 3 runs"
+    )
+    assert parts.startswith("0 % of 10 epochs over all runs; 0 of 1 parts done, 1 running, 0 s")
