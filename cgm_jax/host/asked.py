@@ -63,14 +63,14 @@ def asked_for(options: TrainingOptions) -> Asked:
 
 
 def _whole(options: TrainingOptions) -> Asked:
-    file = SettingsFile()
+    resumes, file = options.resumes(), SettingsFile()
     if options.config is not None:
         file = read_settings_file(options.config)
         file.require_named(but=given_settings(options))
     components = {kind: file.named(kind) for kind in NAMES}
     chosen = seed_values(options, chosen_values(options, components))
     preset = options.preset or file.preset or options.default_preset
-    if options.resumes():
+    if resumes:
         return Asked(preset, chosen, None)
     if file.runs is None:
         fields = LOOP_FIELDS | builtin_fields() | own_fields({**components, **chosen})
