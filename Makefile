@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-onnx pretrained faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -39,6 +39,20 @@ $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
 	touch $@
 
+# onnx and onnxruntime are larger than all else that tests need.
+test-onnx: $(VENV)-onnx/.installed
+	$(VENV)-onnx/bin/python -m pytest tests/cgm_jax/results/test_onnx_model.py $(ARGS)
+
+$(VENV)-onnx/.installed: requirements.lock tests/onnx-requirements.txt
+	$(PYTHON) -m venv $(VENV)-onnx
+	$(VENV)-onnx/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/onnx-requirements.txt
+	touch $@
+
+# The policies that come with the package: trains, chooses and measures them anew.
+pretrained: setup
+	$(RUN) -m experiments.pretrained $(ARGS)
+
 # Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.
 faults: setup
 	$(RUN) -m tests.cgm_jax.faults --out experiments/results/faults/faults.csv $(ARGS)
@@ -69,4 +83,4 @@ lock:
 	rm -rf $(VENV)-lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-transfer .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-onnx $(VENV)-transfer .pytest_cache .ruff_cache

@@ -1,7 +1,7 @@
 """Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
 
 Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.evaluate`,
-`.benchmark`. Behind them, in rooms:
+`.export`, `.benchmark`. Behind them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
@@ -12,7 +12,8 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
 
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
-    results/     what is made of runs: figures, measured policies, videos
+    results/     what is made of runs: figures, measured policies, videos, ONNX
+    pretrained/  policies that come with the package
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 
@@ -32,10 +33,12 @@ may change with any version:
     from cgm_jax.curricula.cgm import CGM
     from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
     from cgm_jax.envs import ENGINES, TASKS, GoalEnvironment, StartableEnvironment, make
+    from cgm_jax.envs import RenderableEnvironment
     from cgm_jax.evaluate import main
     from cgm_jax.gymnasium import GoalMasking, VectorGoalMasking
     from cgm_jax.gymnasium.stable_baselines3 import CurriculumEvalCallback
     from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
+    from cgm_jax.pretrained import pretrained_policy
     from cgm_jax.replay.protocol import Relabelling, Transitions
     from cgm_jax.replay.ring import Episodes, Replay
     from cgm_jax.storage.policies import act, load_policy

@@ -8,12 +8,24 @@ mocap_controller.py  from an action to the pose that drags the arm (inverse kine
 observations.py      from sensor readings to the Gymnasium-Robotics observation
 scene.py             the MJCF model, its names resolved to indices once
 rendering.py         frames of a scene and its (masked) goal, without a display
+viewer.py            MuJoCo's viewer on episodes, with a display
 gymnasium/           the same tasks for Gymnasium, one by one and batched
 physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """
 
 from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax
-from cgm_jax.envs.goal_environment import GoalEnvironment, StartableEnvironment
+from cgm_jax.envs.goal_environment import (
+    GoalEnvironment,
+    RenderableEnvironment,
+    StartableEnvironment,
+)
 from cgm_jax.envs.make import ENGINES, TASKS, make
 
-__all__ = ["ENGINES", "TASKS", "GoalEnvironment", "StartableEnvironment", "make"]
+__all__ = [
+    "ENGINES",
+    "TASKS",
+    "GoalEnvironment",
+    "RenderableEnvironment",
+    "StartableEnvironment",
+    "make",
+]

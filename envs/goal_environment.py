@@ -3,6 +3,7 @@
 from typing import Protocol
 
 import jax
+import numpy as np
 from brax.envs.base import State
 
 
@@ -65,5 +66,20 @@ class StartableEnvironment(GoalEnvironment, Protocol):
         """Begin an episode in `state`, as it is, with the goal that it holds.
 
         Whatever counts within an episode, such as steps or warnings, begins anew.
+        """
+        ...
+
+
+class RenderableEnvironment(GoalEnvironment, Protocol):
+    """An environment whose episodes can be shown as a video.
+
+    Optional: `python -m cgm_jax.evaluate ... --video` needs it.
+    """
+
+    def render_frame(self, state: State, width: int, height: int) -> np.ndarray:
+        """Draw one concrete state as a frame [height, width, 3] of uint8.
+
+        On the host and outside of any traced function: arrays of the state are numpy's. A video
+        shows 25 frames, one per step, in a second.
         """
         ...

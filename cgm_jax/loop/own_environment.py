@@ -74,6 +74,9 @@ class OwnEnvironment:
         self.is_large = False
         if hasattr(env, "restart"):  # optional in the protocol
             self.restart = self._restart
+        if hasattr(env, "render_frame"):
+            self.render_frame = self._render_frame
+        self._name = name
 
     def reset(self, rng: jax.Array) -> OwnState:
         """Start an episode."""
@@ -84,6 +87,21 @@ class OwnEnvironment:
         """Start an episode in a state that another one has visited."""
         after = self._env.restart(state.state)
         return OwnState(_as_before(state.state, after), jnp.zeros(()))
+
+    def _render_frame(self, state: Any, width: int, height: int) -> np.ndarray:
+        """A frame of a state of the user's environment, concrete.
+
+        Raises:
+            SettingError: it fails, or is no frame of that size.
+        """
+        with user_code("video", f"render_frame of {self._name}"):
+            frame = np.asarray(self._env.render_frame(state, width, height))
+        if frame.shape != (height, width, 3) or frame.dtype != np.uint8:
+            raise SettingError(
+                f"video: render_frame of {self._name} returns {_described(frame)}, "
+                f"not uint8[{height},{width},3]"
+            )
+        return frame
 
     def step(self, state: OwnState, action: jax.Array) -> OwnState:
         """Advance by one control step."""

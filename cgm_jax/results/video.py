@@ -1,4 +1,4 @@
-"""Videos of Fetch episodes, as MP4 or GIF."""
+"""Videos of episodes, as MP4 or GIF."""
 
 import contextlib
 import errno
@@ -9,9 +9,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import imageio_ffmpeg
+import jax
 import numpy as np
 from PIL import Image
 
+from cgm_jax.envs import GoalEnvironment, RenderableEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
 from cgm_jax.results.policies import Recording, goal_mask
@@ -24,19 +26,30 @@ GIF_COLOURS = 256
 
 
 def video_frames(
-    env: FetchEnvironment, recording: Recording, mask: str, width: int
+    env: GoalEnvironment, recording: Recording, mask: str, width: int
 ) -> Iterator[np.ndarray]:
     """Frames [height, width, 3] of the valid episodes of a recording, one after another.
 
     Args:
-        env: what was recorded.
+        env: what was recorded: a Fetch environment, or a `RenderableEnvironment`.
         recording: whole episodes of it.
-        mask: masked axes, as `evaluation.Plan` has them.
+        mask: masked axes, as `evaluation.Plan` has them; only Fetch environments draw it.
         width: of a frame, pixels; the height is three quarters of it.
 
     Raises:
         RenderingError: this machine cannot render.
+        SettingError: the user's environment fails to, or returns no frame of that size.
     """
+    shown = _fetch_frames if isinstance(env, FetchEnvironment) else _own_frames
+    with contextlib.closing(shown(env, recording, mask, width)) as frames:
+        for frame, last in frames:
+            yield from [frame] * (HELD_FRAMES if last else 1)
+
+
+def _fetch_frames(
+    env: FetchEnvironment, recording: Recording, mask: str, width: int
+) -> Iterator[tuple[np.ndarray, bool]]:
+    """Frames, and whether they are the last of their episode."""
     positions = env.physics.positions(recording.states)
     goals, achieved = np.asarray(recording.desired_goal), np.asarray(recording.achieved)
     kept = goal_mask(mask, goals.shape[-1]).tolist()
@@ -45,8 +58,18 @@ def video_frames(
             for step, row in enumerate(positions[:, episode]):
                 reached = bool(achieved[episode, step])
                 frame = renderer.frame(row, goals[episode], achieved=reached, mask=kept)
-                last = step == len(positions) - 1
-                yield from [frame] * (HELD_FRAMES if last else 1)
+                yield frame, step == len(positions) - 1
+
+
+def _own_frames(
+    env: RenderableEnvironment, recording: Recording, mask: str, width: int
+) -> Iterator[tuple[np.ndarray, bool]]:
+    del mask
+    steps = recording.achieved.shape[1]
+    for episode in np.flatnonzero(recording.valid):
+        for step in range(steps):
+            state = jax.tree.map(lambda rows, at=(step, episode): rows[at], recording.states)
+            yield env.render_frame(state, width, width * 3 // 4), step == steps - 1
 
 
 def count_frames(recording: Recording) -> int:
