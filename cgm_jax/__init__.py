@@ -12,6 +12,7 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
 
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
+    machine/     what the process was given: cores, memory
     results/     what is made of runs: figures, measured policies, videos, ONNX
     pretrained/  policies that come with the package
     measuring/   how fast it is: what the benchmark measures

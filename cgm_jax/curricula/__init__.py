@@ -13,14 +13,7 @@ Over accuracy, goals and starts:
     vds.py           goals about which critics disagree
     starts.py        starts of intermediate success
 
-What they are made of:
-
-    goals.py         masked goals, and when they are achieved
-    masks.py         all masks of a goal, and the paper's weights
-    lookahead.py     the same without a table of all masks; levels.py difficulty first
-    history.py       success rates over evaluation episodes; windows.py over training episodes
-    candidates.py    what curricula over goals choose among, and its success
-    density.py       kernel densities; recent.py a ring of the last so many things of a kind
+goals.py says when masked goals are achieved; parts/ is what curricula are made of.
 
 Every file with a class derived from `Curriculum` is a value of `--curriculum`.
 """

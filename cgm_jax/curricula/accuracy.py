@@ -9,9 +9,9 @@ evaluation is at the environment's own.
 
 The paper draws its accuracy in proportion to the competence progress to the power of beta, and
 measures competence by tests at every accuracy. Here competence is the success of the training
-episodes at that threshold, and progress compares the halves of a window of them (see windows.py).
-eps, which the paper does not have, keeps every threshold in use and the draw even where nothing
-changes.
+episodes at that threshold, and progress compares the halves of a window of them (see
+parts/windows.py). eps, which the paper does not have, keeps every threshold in use and the draw
+even where nothing changes.
 
     python -m cgm_jax.train --curriculum accuracy --threshold-widest 4
 """
@@ -24,15 +24,15 @@ from flax import struct
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.masks import proportional
-from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
-from cgm_jax.curricula.windows import (
+from cgm_jax.curricula.parts.masks import proportional
+from cgm_jax.curricula.parts.windows import (
     Windows,
     empty_windows,
     progress,
     record_episodes,
     window_rates,
 )
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
 class AccuracyState(struct.PyTreeNode):

@@ -8,9 +8,10 @@ full goal; before any, c_g^(1/n). Two estimates that are not the paper's judge i
 rates (`factorised` off) and noise-free episodes of each mask (`masked_evaluation_episodes`).
 
 Goals of more than ten dimensions have too many masks for a table, which both of these need: masks
-are then drawn dimension by dimension, see lookahead.py. In many dimensions nearly all masks are far
-from c_g, and the weights of single masks do not make up for that. With `mask_levels`, a method of
-this project, a difficulty is drawn first, and then a uniform mask of it, see levels.py.
+are then drawn dimension by dimension, see parts/lookahead.py. In many dimensions nearly all masks
+are far from c_g, and the weights of single masks do not make up for that. With `mask_levels`, a
+method of this project, a difficulty is drawn first, and then a uniform mask of it, see
+parts/levels.py.
 
     python -m cgm_jax.train --curriculum cgm --c-g 0.1 --kappa 32
 """
@@ -22,22 +23,22 @@ from jax.typing import ArrayLike
 
 from cgm_jax.config.fields import SettingError, settings, static, traced
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.history import (
+from cgm_jax.curricula.parts.history import (
     SuccessHistory,
     empty_history,
     record_successes,
     subgoal_rates,
     success_rates,
 )
-from cgm_jax.curricula.levels import (
+from cgm_jax.curricula.parts.levels import (
     MAX_GOAL_SIZE,
     REPORTED,
     draw_masks_by_difficulty,
     probabilities_by_difficulty,
     report_levels,
 )
-from cgm_jax.curricula.lookahead import draw_masks
-from cgm_jax.curricula.masks import (
+from cgm_jax.curricula.parts.lookahead import draw_masks
+from cgm_jax.curricula.parts.masks import (
     MAX_TABULATED,
     check_tabulated,
     goal_masks,

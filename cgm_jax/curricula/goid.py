@@ -19,9 +19,14 @@ from flax import struct
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.candidates import achieved_goals, between, draw_eligible, nearest_success
+from cgm_jax.curricula.parts.candidates import (
+    achieved_goals,
+    between,
+    draw_eligible,
+    nearest_success,
+)
+from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
-from cgm_jax.curricula.recent import Recent, empty_recent, mean_of, record
 
 
 class Practised(struct.PyTreeNode):

@@ -16,13 +16,13 @@ import jax
 
 from cgm_jax.config.fields import settings, static
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.history import (
+from cgm_jax.curricula.parts.history import (
     SuccessHistory,
     empty_history,
     record_successes,
     subgoal_rates,
 )
-from cgm_jax.curricula.masks import (
+from cgm_jax.curricula.parts.masks import (
     check_tabulated,
     goal_masks,
     mask_success_rates,

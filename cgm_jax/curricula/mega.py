@@ -26,10 +26,10 @@ from jax.typing import ArrayLike
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.candidates import achieved_goals
-from cgm_jax.curricula.density import log_density
+from cgm_jax.curricula.parts.candidates import achieved_goals
+from cgm_jax.curricula.parts.density import log_density
+from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
-from cgm_jax.curricula.recent import Recent, empty_recent, mean_of, record
 
 CUTOFF_EPISODES = 10
 """Episodes that decide whether the cutoff moves."""

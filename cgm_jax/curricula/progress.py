@@ -20,15 +20,15 @@ import jax.numpy as jnp
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.masks import (
+from cgm_jax.curricula.parts.masks import (
     check_tabulated,
     goal_masks,
     mask_indices,
     proportional,
     sample_masks,
 )
+from cgm_jax.curricula.parts.windows import Windows, empty_windows, progress, record_episodes
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
-from cgm_jax.curricula.windows import Windows, empty_windows, progress, record_episodes
 
 
 @settings

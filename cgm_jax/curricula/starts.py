@@ -24,9 +24,9 @@ from flax import struct
 
 from cgm_jax.config.fields import SettingError, settings, static, traced
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.candidates import between, draw_eligible, nearest_success
+from cgm_jax.curricula.parts.candidates import between, draw_eligible, nearest_success
+from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
-from cgm_jax.curricula.recent import Recent, empty_recent, mean_of, record
 
 
 class Begun(struct.PyTreeNode):

@@ -6,7 +6,6 @@
     recorder.py         what is written after an epoch; progress.py what is shown
     startup.py          JAX's own settings, before it starts
     memory.py           what a sweep will take, and how many runs fit
-    allotment.py        the cores and the memory that this process was given
     streams.py          standard output and error that never fail
 
 What keeps a sweep from losing anything:

@@ -19,10 +19,10 @@ import jax
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.host.allotment import free_memory
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.setup import sizes
 from cgm_jax.loop.training import Trainer
+from cgm_jax.machine.allotment import free_memory
 
 USABLE_SHARE = 0.8
 """Share of the free memory that a sweep may plan with."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import jax
 
-from cgm_jax.host.allotment import available_cores
+from cgm_jax.machine.allotment import available_cores
 
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
 """LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as

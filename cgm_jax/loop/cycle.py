@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.curricula.masks import mask_indices
+from cgm_jax.curricula.parts.masks import mask_indices
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
 from cgm_jax.loop.inputs import network_inputs

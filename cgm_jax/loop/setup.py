@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from cgm_jax.config.fields import SettingError, check_concrete
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.masks import MAX_TABULATED
+from cgm_jax.curricula.parts.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.normaliser import initial_normaliser
 from cgm_jax.loop.state import TrainingState, empty_statistics

@@ -9,7 +9,7 @@ from mujoco.batch import Batch
 
 from cgm_jax import envs
 from cgm_jax.envs.physics.native import SENSOR_STAGE
-from cgm_jax.host.allotment import available_cores
+from cgm_jax.machine.allotment import available_cores
 from cgm_jax.measuring.figures import Figure, medians
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from cgm_jax.config.named import files_of, folder_of
 from cgm_jax.config.user_code import digest_of
-from cgm_jax.host.allotment import available_cores
+from cgm_jax.machine.allotment import available_cores
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
 TITLES = {

@@ -26,7 +26,7 @@ from mujoco.batch import Batch
 from cgm_jax.envs.mocap_controller import ControlTarget
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.scene import Scene
-from cgm_jax.host.allotment import available_cores
+from cgm_jax.machine.allotment import available_cores
 
 WORDS_PER_FLOAT64 = 2
 TIME_SIZE = 1  # a state row starts with the time; the positions follow

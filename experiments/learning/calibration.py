@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from cgm_jax.config.grid import Run
 from cgm_jax.config.settings import Hyperparameters
-from cgm_jax.curricula.masks import goal_masks, mask_success_rates
+from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
 from cgm_jax.curricula.protocol import Outcomes
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.environment import make_environment

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cgm_jax.curricula.cgm import CGM, joint_success_rates
-from cgm_jax.curricula.history import empty_history, record_successes, subgoal_rates
-from cgm_jax.curricula.masks import goal_masks, mask_success_rates
+from cgm_jax.curricula.parts.history import empty_history, record_successes, subgoal_rates
+from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
 
 
 def test_joint_rates_are_shares_of_rollouts_that_achieved_all_kept_dimensions() -> None:

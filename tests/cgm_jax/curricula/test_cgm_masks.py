@@ -12,8 +12,8 @@ import pytest
 from cgm_jax import train
 from cgm_jax.config.fields import SettingError
 from cgm_jax.curricula.cgm import CGM, CGMState
-from cgm_jax.curricula.history import SuccessHistory
-from cgm_jax.curricula.masks import goal_masks
+from cgm_jax.curricula.parts.history import SuccessHistory
+from cgm_jax.curricula.parts.masks import goal_masks
 from cgm_jax.curricula.protocol import Goals, View
 from tests.cgm_jax.curricula.small import sizes
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.curricula.history import empty_history, record_successes
 from cgm_jax.curricula.learnability import Learnability, learnable
+from cgm_jax.curricula.parts.history import empty_history, record_successes
 from tests.cgm_jax.curricula.small import Chances, epochs, sizes
 from tests.cgm_jax.probe import tiny
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.density import log_density
 from cgm_jax.curricula.mega import MEGA, MEGAState, Memo, rarest_reachable
+from cgm_jax.curricula.parts.density import log_density
 from tests.cgm_jax.curricula.line import (
     SIZES,
     Line,

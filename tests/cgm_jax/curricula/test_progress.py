@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.curricula.masks import goal_masks
+from cgm_jax.curricula.parts.masks import goal_masks
 from cgm_jax.curricula.progress import Progress
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from tests.cgm_jax.curricula.small import SMALL, Chances, epochs, sizes

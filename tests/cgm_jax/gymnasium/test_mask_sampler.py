@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.history import empty_history, record_successes, subgoal_rates
-from cgm_jax.curricula.masks import goal_masks, mask_probabilities, mask_success_rates
+from cgm_jax.curricula.parts.history import empty_history, record_successes, subgoal_rates
+from cgm_jax.curricula.parts.masks import goal_masks, mask_probabilities, mask_success_rates
 from cgm_jax.gymnasium.mask_sampler import MaskSampler, mask_generator
 
 CORNERS = list(itertools.product([0.0, 0.1, 0.5, 1.0], [0.0, 1.0, 32.0, 1000.0]))

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.windows import empty_windows, progress, record_episodes, window_rates
+from cgm_jax.curricula.parts.windows import empty_windows, progress, record_episodes, window_rates
 
 record = jax.jit(record_episodes)
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.masks import (
+from cgm_jax.curricula.parts.masks import (
     goal_masks,
     mask_indices,
     mask_probabilities,

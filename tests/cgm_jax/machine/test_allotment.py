@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cgm_jax.host.allotment import available_cores, free_memory
+from cgm_jax.machine.allotment import available_cores, free_memory
 
 MEBIBYTE = 2**20
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.lookahead import CANDIDATES, draw_masks, propose
+from cgm_jax.curricula.parts.lookahead import CANDIDATES, draw_masks, propose
 
 CORNERS = np.array(list(itertools.product([0, 0.1, 0.4, 0.8, 1], [0, 1, 4, 32, 1000])), np.float32)
 """Pairs of c_g and kappa, [25, 2]."""

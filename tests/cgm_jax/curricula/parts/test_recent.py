@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.curricula.recent import empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import empty_recent, mean_of, record
 
 
 def test_a_ring_holds_the_last_valid_rows_as_a_deque_does() -> None:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.levels import (
+from cgm_jax.curricula.parts.levels import (
     DELTA,
     LEVELS,
     count_masks,

@@ -2,8 +2,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.history import empty_history, record_successes, subgoal_rates
-from cgm_jax.curricula.masks import goal_masks, mask_success_rates
+from cgm_jax.curricula.parts.history import empty_history, record_successes, subgoal_rates
+from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
 
 
 @pytest.mark.parametrize("c_g", [0.0, 0.1, 0.8, 1.0])

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.curricula.candidates import achieved_goals, draw_eligible, nearest_success
+from cgm_jax.curricula.parts.candidates import achieved_goals, draw_eligible, nearest_success
 from tests.cgm_jax.curricula.line import view
 
 

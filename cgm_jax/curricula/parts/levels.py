@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from cgm_jax.curricula.lookahead import log_weight
+from cgm_jax.curricula.parts.lookahead import log_weight
 
 LEVELS = 2048
 DIFFICULTIES = 101
