@@ -16,6 +16,7 @@ physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax
 from cgm_jax.envs.goal_environment import (
     GoalEnvironment,
+    JudgingEnvironment,
     RenderableEnvironment,
     StartableEnvironment,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "ENGINES",
     "TASKS",
     "GoalEnvironment",
+    "JudgingEnvironment",
     "RenderableEnvironment",
     "StartableEnvironment",
     "make",

@@ -17,7 +17,8 @@ class GoalEnvironment(Protocol):
     A goal is achieved where the Euclidean distance of achieved and desired goal is below
     `distance_threshold`; a masked goal where the distance over its kept dimensions is. The
     trainer computes rewards from that rule and does not read `State.reward`; nor does it
-    read `State.done`, since every episode takes exactly `episode_length` steps.
+    read `State.done`, since every episode takes exactly `episode_length` steps. Other rules:
+    `JudgingEnvironment`.
 
     An engine that detects broken physics sets `State.metrics["physics_warnings"]` to
     something above 0; the trainer then drops the episode, as it drops non-finite ones.
@@ -53,6 +54,46 @@ class GoalEnvironment(Protocol):
 
     def step(self, state: State, action: jax.Array) -> State:
         """Advance by one control step with `action` [action_size]."""
+        ...
+
+
+class JudgingEnvironment(GoalEnvironment, Protocol):
+    """An environment with rules of its own instead of those of distance and of length.
+
+    All are optional, and each is recognised by its name. The functions are pure, for one episode.
+
+    `goal_tolerance` [n], an array: a goal is achieved where the distance, each dimension measured
+    in its tolerance, is below 1, so where sum_i ((achieved_i - desired_i) / tolerance_i)^2 < 1.
+    `goal_success` says so by any other rule; there is one of the two at most.
+    `goal_reward` replaces the reward of 0 for success and -1 otherwise in what the agents learn
+    from; its values lie within `reward_range`, a pair (least, greatest).
+    `is_terminal` ends episodes early: whatever the goal, nothing is to be had after that state.
+
+    Under a mask the functions of goals get a desired goal that, in masked dimensions, is the
+    achieved one. Hindsight asks them about other goals than those of the episode.
+    `distance_threshold` remains the scale of goals: of normalised inputs, and for curricula.
+    """
+
+    @property
+    def goal_tolerance(self) -> jax.Array:
+        """What each dimension of a goal may be off, [n]."""
+        ...
+
+    def goal_success(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        """Whether a goal [n] is achieved, a bool scalar."""
+        ...
+
+    @property
+    def reward_range(self) -> tuple[float, float]:
+        """Least and greatest value of `goal_reward`."""
+        ...
+
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        """The reward of a step that achieves a goal [n], a float scalar."""
+        ...
+
+    def is_terminal(self, state: State) -> jax.Array:
+        """Whether the episode ends in this state, a bool scalar."""
         ...
 
 

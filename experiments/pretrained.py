@@ -80,7 +80,8 @@ def chosen(task: str, directory: RunDirectory) -> tuple[dict[str, Any], dict[str
         improved = last.parent.glob(f"improvements/{run.name}_epoch*.npz")
         latest = sorted(improved, key=lambda path: int(path.stem.rpartition("_epoch")[2]))[-3:]
         candidates |= {path.stem: path for path in (*latest, last)}
-    best, _ = max(success(task, candidates, CHOOSING).items(), key=lambda item: item[1])
+    rates = success(task, candidates, CHOOSING)
+    best = max(reversed(rates), key=rates.__getitem__)  # of equals the last
     measured = success(task, {best: candidates[best]}, MEASURING)[best]
     config = json.loads((directory.path / CONFIG).read_bytes())
     facts = {

@@ -22,7 +22,7 @@ from cgm_jax.agents.protocol import Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, shared, traced
 
 
-class NoisyMinibatch(Minibatch):
+class NoisyMinibatch(Minibatch, kw_only=True):
     """Transitions with standard normal noise for their next actions, [..., action]."""
 
     noise: jax.Array
@@ -49,7 +49,8 @@ class TD3(DDPG):
         next_action = apply_actor(state.target_actor, batch.next_inputs) + noise
         next_action = jnp.clip(next_action, -1.0, 1.0)
         next_value = apply_critics(state.target_critic, batch.next_inputs, next_action).min(axis=0)
-        target = clip_return(batch.reward + self.discount * next_value, self.discount)
+        target = batch.reward + batch.discounts(self.discount) * next_value
+        target = clip_return(target, self.discount, batch.reward_range)
         value = apply_critics(critic, batch.inputs, batch.action)
         losses = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value), axis=-1)
         return losses.sum(), {"critic_loss": losses.mean(), "value": value.mean()}

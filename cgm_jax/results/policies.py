@@ -12,13 +12,13 @@ from flax import struct
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters, Settings
-from cgm_jax.curricula.goals import is_achieved
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import RenderingError, check_rendering
 from cgm_jax.envs.viewer import check_display
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
+from cgm_jax.loop.judging import succeeds
 from cgm_jax.loop.own_environment import OwnEnvironment
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
 from cgm_jax.replay.ring import Episodes
@@ -301,7 +301,7 @@ def _play(
 
     rollout = roll_out(env, policy, first, goals, exploration, keep=keep)
     valid = rollout.outcomes.valid & chunk.counted
-    recording = _recording(rollout, recorded) if recorded else None
+    recording = _recording(env, rollout, recorded) if recorded else None
     return jnp.sum(valid & rollout.outcomes.success), jnp.sum(valid), recording
 
 
@@ -317,13 +317,16 @@ def _join(parts: list[Recording]) -> Recording | None:
     )
 
 
-def _recording(rollout: Rollout, count: int) -> Recording:
+def _recording(env: GoalEnvironment, rollout: Rollout, count: int) -> Recording:
     shown: Episodes = _first(count, rollout.episodes)
-    goal, mask, threshold = (x[:, None] for x in (shown.desired_goal, shown.mask, shown.threshold))
+    achieved = shown.achieved_goal
+    goal, mask = (
+        jnp.broadcast_to(rows[:, None], achieved.shape) for rows in (shown.desired_goal, shown.mask)
+    )
     return Recording(
         states=rollout.record,
         desired_goal=shown.desired_goal,
-        achieved=is_achieved(goal, mask, shown.achieved_goal, threshold),
+        achieved=succeeds(env, goal, mask, achieved, shown.threshold[:, None]),
         valid=rollout.outcomes.valid[:count],
     )
 
