@@ -186,8 +186,11 @@ def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
             settings = Settings(env=named["env"][0])
             return {"random": evaluate_random(settings, plan, progress.show)}
     source = options.source
-    is_directory = source is not None and source.is_dir()
-    if is_directory and (restored := RunDirectory(source).restore_config()) is not None:
+    if (
+        source is not None
+        and source.is_dir()
+        and (restored := RunDirectory(source).restore_config()) is not None
+    ):
         print(restored, file=sys.stderr)
     policies = chosen_policies(source, options.pretrained, options.run, named)
     with CountProgress("episodes") as progress:

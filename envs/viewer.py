@@ -77,6 +77,8 @@ def play(
     model, data = scene.model, mujoco.MjData(scene.model)
     low, high = workspace(model)
     with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+        picture = window.user_scn
+        assert picture is not None
         window.cam.lookat[:] = (low + high) / 2
         window.cam.distance, window.cam.azimuth, window.cam.elevation = CAMERA
         while True:
@@ -88,11 +90,9 @@ def play(
                     with window.lock():
                         data.qpos[:] = row
                         mujoco.mj_forward(model, data)
-                        window.user_scn.ngeom = 0
+                        picture.ngeom = 0
                         for shape in shapes:
-                            add_shape(
-                                window.user_scn, shape, GREEN if achieved[episode, step] else RED
-                            )
+                            add_shape(picture, shape, GREEN if achieved[episode, step] else RED)
                     window.sync()
                     last = step == len(positions) - 1
                     time.sleep(1 / FRAMES_PER_SECOND + (HELD_SECONDS if last else 0.0))

@@ -296,7 +296,8 @@ def _play(
     def keep(state: "State") -> Any:
         if not recorded:
             return None
-        kept = state.state if isinstance(env, OwnEnvironment) else state.pipeline_state
+        is_own = isinstance(env, OwnEnvironment)
+        kept = state.state if is_own else state.pipeline_state  # pyright: ignore
         return _first(recorded, kept)
 
     rollout = roll_out(env, policy, first, goals, exploration, keep=keep)

@@ -5,7 +5,7 @@ import errno
 import itertools
 import os
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from PIL import Image
 
-from cgm_jax.envs import GoalEnvironment, RenderableEnvironment
+from cgm_jax.envs import RenderableEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
 from cgm_jax.results.policies import Recording, goal_mask
@@ -26,7 +26,7 @@ GIF_COLOURS = 256
 
 
 def video_frames(
-    env: GoalEnvironment, recording: Recording, mask: str, width: int
+    env: FetchEnvironment | RenderableEnvironment, recording: Recording, mask: str, width: int
 ) -> Iterator[np.ndarray]:
     """Frames [height, width, 3] of the valid episodes of a recording, one after another.
 
@@ -40,15 +40,18 @@ def video_frames(
         RenderingError: this machine cannot render.
         SettingError: the user's environment fails to, or returns no frame of that size.
     """
-    shown = _fetch_frames if isinstance(env, FetchEnvironment) else _own_frames
-    with contextlib.closing(shown(env, recording, mask, width)) as frames:
+    if isinstance(env, FetchEnvironment):
+        frames = _fetch_frames(env, recording, mask, width)
+    else:
+        frames = _own_frames(env, recording, width)
+    with contextlib.closing(frames):
         for frame, last in frames:
             yield from [frame] * (HELD_FRAMES if last else 1)
 
 
 def _fetch_frames(
     env: FetchEnvironment, recording: Recording, mask: str, width: int
-) -> Iterator[tuple[np.ndarray, bool]]:
+) -> Generator[tuple[np.ndarray, bool], None, None]:
     """Frames, and whether they are the last of their episode."""
     positions = env.physics.positions(recording.states)
     goals, achieved = np.asarray(recording.desired_goal), np.asarray(recording.achieved)
@@ -62,9 +65,8 @@ def _fetch_frames(
 
 
 def _own_frames(
-    env: RenderableEnvironment, recording: Recording, mask: str, width: int
-) -> Iterator[tuple[np.ndarray, bool]]:
-    del mask
+    env: RenderableEnvironment, recording: Recording, width: int
+) -> Generator[tuple[np.ndarray, bool], None, None]:
     steps = recording.achieved.shape[1]
     for episode in np.flatnonzero(recording.valid):
         for step in range(steps):
