@@ -234,7 +234,8 @@ def _write_video(
     if not shown:
         return f"{path} is not written: no valid episode among the first {options.video_episodes}"
     solved = int((recording.achieved[:, -1] & recording.valid).sum())
-    frames = video_frames(outcome.env, recording, options.mask, options.video_width)
+    env: Any = outcome.env  # of which the plan knows that it can be rendered
+    frames = video_frames(env, recording, options.mask, options.video_width)
     try:
         with CountProgress("frames") as progress:
             write_video(path, _watched(frames, count_frames(recording), progress, interruption))

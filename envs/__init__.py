@@ -10,6 +10,7 @@ scene.py             the MJCF model, its names resolved to indices once
 rendering.py         frames of a scene and its (masked) goal, without a display
 viewer.py            MuJoCo's viewer on episodes, with a display
 gymnasium/           the same tasks for Gymnasium, one by one and batched
+hosted/              Gymnasium's goal environments as tasks, in a process of their own
 physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 """
 

@@ -39,7 +39,8 @@ class Batch:
     def __init__(self, env: VectorEnv, seeds: np.ndarray) -> None:
         """Reset all rows."""
         self.env, self.seeds, self.steps = env, seeds, 0
-        shown, _ = env.reset(seed=[int(seed) for seed in seeds])
+        each: Any = [int(seed) for seed in seeds]  # of vector environments the base types no list
+        shown, _ = env.reset(seed=each)
         self.observation = {name: np.array(shown[name], np.float32) for name in ENTRIES}
         self.terminated = np.zeros(len(seeds), bool)
         self.truncated = np.zeros(len(seeds), bool)

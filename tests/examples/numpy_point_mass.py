@@ -63,4 +63,4 @@ class NumpyPointMass(gymnasium.Env[Any, np.ndarray]):
         }
 
 
-gymnasium.register("NumpyPointMass-v0", NumpyPointMass, max_episode_steps=25)
+gymnasium.register("NumpyPointMass-v0", f"{__name__}:NumpyPointMass", max_episode_steps=25)

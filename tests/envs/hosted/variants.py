@@ -44,7 +44,6 @@ class NoRule(Dense):
     distance_threshold = None  # pyright: ignore[reportAssignmentType]
 
 
-VARIANTS = {kind.__name__: kind for kind in (OneForSuccess, Dense, Ending, NoRule)}
-for name, kind in VARIANTS.items():
-    gymnasium.register(f"tests/{name}-v0", kind, max_episode_steps=25)
-gymnasium.register("tests/Endless-v0", NumpyPointMass)
+for name in ("OneForSuccess", "Dense", "Ending", "NoRule"):
+    gymnasium.register(f"tests/{name}-v0", f"{__name__}:{name}", max_episode_steps=25)
+gymnasium.register("tests/Endless-v0", f"{NumpyPointMass.__module__}:NumpyPointMass")
