@@ -1,7 +1,8 @@
 """Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
 
-Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.evaluate`,
-`.export`, `.benchmark`. Behind them, in rooms:
+Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.launch` (a
+sweep in parts) and `.merge`, `.evaluate`, `.export`, `.report`, `.benchmark`. Behind
+them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
@@ -13,7 +14,9 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
     machine/     what the process was given: cores, memory
-    results/     what is made of runs: figures, measured policies, videos, ONNX
+    launching/   many processes for one sweep: this machine, SLURM, Ray
+    results/     what is made of runs: figures, a page, merged parts, measured policies, videos,
+                 trackers, ONNX
     pretrained/  policies that come with the package
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
@@ -42,6 +45,8 @@ may change with any version:
     from cgm_jax.pretrained import pretrained_policy
     from cgm_jax.replay.protocol import Relabelling, Transitions
     from cgm_jax.replay.ring import Episodes, Replay
+    from cgm_jax.report import main
+    from cgm_jax.results.trackers.protocol import Tracker
     from cgm_jax.storage.policies import act, load_policy
     from cgm_jax.storage.run_directory import RunDirectory
     from cgm_jax.sweep import main

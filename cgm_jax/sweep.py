@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
+from cgm_jax.config.shards import cut, parse_shard
 from cgm_jax.host.command_line import (
     TrainingOptions,
     chosen_values,
@@ -25,14 +27,24 @@ class SweepOptions(TrainingOptions):
     seeds: int | None = None
     """How many seeds: short for --seed 0 1 2 ..."""
 
+    shard: str | None = None
+    """I/N: train only the I-th of N parts of the sweep; cgm_jax.merge puts them together."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SweepOptions, arguments, "python -m cgm_jax.sweep")
     preset = options.preset or "quick"
     chosen = seed_values(options, chosen_values(options))
-    groups = None if options.resumes(chosen) else build_groups(preset, chosen)
-    return train_groups(options, preset, groups)
+    piece = None if options.shard is None else parse_shard(options.shard)
+    if options.resumes(chosen):
+        if piece is not None:
+            raise SettingError("resume: a sweep resumes as it was begun, without shard")
+        return train_groups(options, preset, None)
+    groups, shard = build_groups(preset, chosen), None
+    if piece is not None:
+        groups, shard = cut(groups, *piece)
+    return train_groups(options, preset, groups, shard)
 
 
 if __name__ == "__main__":

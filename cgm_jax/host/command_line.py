@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import tyro
 
-from cgm_jax.config.components import NAMES, ROOMS, builtin, builtin_fields
+from cgm_jax.config.components import NAMES, ROOMS, TRACK, builtin, builtin_fields
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
@@ -110,6 +110,16 @@ class TrainingOptions(SettingOptions):
 
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
+
+    track: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help=f"Show settings, metrics, figures and a video of the best policy in "
+            f"{', '.join(sorted(builtin(TRACK)))}, or FILE.py:NAME of your own, too.",
+            metavar="NAME",
+            help_behavior_hint="",
+        ),
+    ] = None
 
     def resumes(self, chosen: Grid) -> bool:
         """Whether to resume a directory, whose settings are then already chosen.

@@ -25,7 +25,8 @@ from cgm_jax.loop.environment import compiles_physics, make_environment, remarks
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
-from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
+from cgm_jax.results.statistics import have_finished
+from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -125,6 +126,7 @@ def run_jobs(
     progress: SweepProgress,
     interruption: Interruption,
     checkpoint_seconds: float,
+    tracking: Tracking,
 ) -> list[Row] | None:
     """Train all jobs one after another, each from its last checkpoint.
 
@@ -134,6 +136,7 @@ def run_jobs(
         progress: is told of every chunk and epoch.
         interruption: says when to stop.
         checkpoint_seconds: least time between two checkpoints of a job, other than its last.
+        tracking: is sent what is recorded.
 
     Returns:
         The last row of every run; None if a signal came, and what was done is in a checkpoint.
@@ -144,17 +147,21 @@ def run_jobs(
         SettingError: a checkpoint holds the state of another program.
     """
     rows, last = [], []
-    swept = swept_settings([job.group for job in jobs])
+    shard = directory.shard()
+    swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         training = _begin(job, index, directory)
         _keep_lost_metrics(training, index, directory, rows)
         directory.replace_metrics(rows + training.rows)
         settings = job.group.settings
         progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
-        recorder = Recorder(directory, job.group, index, training.rows, checkpoint_seconds, swept)
+        recorder = Recorder(
+            directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
+        )
         if not _train(job, training, recorder, progress, interruption):
             return None
         progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
+        tracking.end()
         rows += training.rows
         last += training.rows[-len(job.group.runs) :]
     return last
@@ -248,14 +255,9 @@ def _train(
 
 def _is_finished(group: Group, training: TrainingProgress) -> bool:
     """Whether all epochs are done, or all runs hold the success at which they may leave."""
-    settings = group.settings
-    if training.cycle > 0 or settings.leave_at is None:
-        return training.epoch >= settings.epochs
-    if not 0 < training.epoch < settings.epochs:
-        return training.epoch > 0
-    runs = len(group.runs)
-    rates = [row["success_rate"] for row in training.rows[-HOLDING_EVALUATIONS * runs :]]
-    return all(holds(rates[i::runs], settings.leave_at) for i in range(runs))
+    settings, rates = group.settings, [row["success_rate"] for row in training.rows]
+    leave_at = None if training.cycle else settings.leave_at
+    return have_finished(rates, len(group.runs), training.epoch, settings.epochs, leave_at)
 
 
 def _train_chunk(

@@ -12,24 +12,33 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, structure
 from cgm_jax.config.settings import Settings
+from cgm_jax.config.shards import Shard
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.results.tracking import Tracking, find_tracker
+from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job
 
 
-def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] | None) -> int:
+def train_groups(
+    options: TrainingOptions,
+    preset: str,
+    groups: Sequence[Group] | None,
+    shard: Shard | None = None,
+) -> int:
     """Train groups of runs, from the beginning or from where they were stopped.
 
     Args:
         options: where to, and how often to write checkpoints.
         preset: recorded in the directory.
         groups: what to train; None for what `options.resume` holds.
+        shard: of which sweep they are a part, if they are one.
 
     Returns:
         The exit code.
@@ -40,6 +49,8 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
     """
     out = options.resume or options.out
     with Interruption(ends_process=owns_process()) as interruption:
+        if options.track is not None:
+            find_tracker(options.track)
         moved = {}
         if out is not None and (restored := RunDirectory(out).restore_config()) is not None:
             print(restored, file=sys.stderr)
@@ -47,30 +58,34 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             # What own code the user names goes with what the directory holds.
             named = {kind: getattr(options, kind) or () for kind in NAMES}
             moved = RunDirectory.open(out).moved(named)
-        recorded = None if out is None else _recorded_groups(out, groups, moved)
+        recorded = None if out is None else _recorded_groups(out, groups, shard, moved)
         prepare_jax()
         import jax
 
         from cgm_jax.host.runner import plan_jobs
 
         jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
-        out = out or _new_directory(preset)
+        out = out or new_directory(preset)
         try:
-            with RunDirectory.claimed(out, fresh=recorded is None) as directory:
+            with (
+                RunDirectory.claimed(out, fresh=recorded is None) as directory,
+                Tracking(options.track, out) as tracking,
+            ):
                 device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                 if recorded is None:
-                    directory.write_config([job.group for job in jobs], preset, device)
+                    directory.write_config([job.group for job in jobs], preset, device, shard)
                 else:
                     notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
-                return _train(jobs, directory, interruption, options.checkpoint_seconds)
+                seconds = options.checkpoint_seconds
+                return _train(jobs, directory, interruption, seconds, tracking)
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            print(_how_to_resume(out), file=sys.stderr)
+            print(_how_to_resume(out, options.track), file=sys.stderr)
             return ExitCode.CANNOT_WRITE
 
 
-def _new_directory(preset: str) -> Path:
+def new_directory(preset: str) -> Path:
     """Make a directory named for the time, which nobody else gets, however many start at once.
 
     Raises:
@@ -95,13 +110,14 @@ def _made(path: Path) -> bool:
 
 
 def _recorded_groups(
-    out: Path, groups: Sequence[Group] | None, moved: Mapping[str, str]
+    out: Path, groups: Sequence[Group] | None, shard: Shard | None, moved: Mapping[str, str]
 ) -> list[Group] | None:
     """What the directory holds, as it was split; None if it is new.
 
     Args:
         out: the directory.
         groups: what is asked for; None for what the directory holds.
+        shard: of which sweep they are a part, if they are one.
         moved: environments that have been named again, see `RunDirectory.moved`.
 
     Raises:
@@ -113,7 +129,7 @@ def _recorded_groups(
     if not directory.holds_sweep():
         return None
     recorded = directory.groups()
-    if _merged(recorded) != _merged(groups):
+    if directory.shard() != shard or _merged(recorded) != _merged(groups):
         raise SettingError(f"out: {out} already holds a sweep with other settings or runs")
     return recorded
 
@@ -142,6 +158,7 @@ def _train(
     directory: RunDirectory,
     interruption: Interruption,
     checkpoint_seconds: float,
+    tracking: Tracking,
 ) -> int:
     from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
     from cgm_jax.host.runner import run_jobs
@@ -150,29 +167,66 @@ def _train(
     cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
     try:
         with SweepProgress(cycles) as progress:
-            rows = run_jobs(jobs, directory, progress, interruption, checkpoint_seconds)
+            rows = run_jobs(jobs, directory, progress, interruption, checkpoint_seconds, tracking)
     except DeviceError as error:
         print(f"error: {error}", file=sys.stderr)
-        print(_how_to_resume(directory.path), file=sys.stderr)
+        print(_how_to_resume(directory.path, tracking.name), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:
-        print(f"stopped; {_how_to_resume(directory.path)}", file=sys.stderr)
+        print(f"stopped; {_how_to_resume(directory.path, tracking.name)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
-    _draw_figures(directory)
+    figures = _draw_figures(directory)
+    if rows is not None and tracking.name is not None:
+        _show_results(directory, rows, figures, tracking)
     return ExitCode.STOPPED if rows is None else _verdict(rows)
 
 
-def _draw_figures(directory: RunDirectory) -> None:
+def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Say what a finished sweep has come to, draw its figures, and return its exit code.
+
+    Args:
+        directory: of the sweep.
+        rows: all rows of its metrics.
+    """
+    from cgm_jax.host.progress import physics_lines, summary_lines
+
+    last = list({row["run"]: row for row in rows}.values())
+    print("\n".join(summary_lines(last) + physics_lines(rows)))
+    _draw_figures(directory)
+    print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
+    return _verdict(last)
+
+
+def _draw_figures(directory: RunDirectory) -> list[Path]:
     """Draw what can be drawn; training is done, and its outcome does not depend on it."""
     try:
         from cgm_jax.results.figures import draw_figures
 
-        draw_figures(directory)
+        return draw_figures(directory)
     except Exception as error:
         line = str(error).partition("\n")[0]
         print(f"no figures drawn: {type(error).__name__}: {line}", file=sys.stderr)
+        return []
+
+
+def _show_results(
+    directory: RunDirectory,
+    rows: Sequence[Row],
+    figures: Sequence[Path],
+    tracking: Tracking,
+) -> None:
+    """Send figures and a video of the best policy to the tracker, where it can be made."""
+    shown = {f"figures/{path.stem}": path for path in figures}
+    try:
+        from cgm_jax.results.best_policy import film_best_policy
+
+        shown["best_policy"] = film_best_policy(directory, rows)
+    except Exception as error:
+        line = str(error).partition("\n")[0]
+        print(f"no video of the best policy: {line}", file=sys.stderr)
+    tracking.show(shown, max(row["epoch"] for row in rows))
 
 
 def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
@@ -189,5 +243,6 @@ def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
     return ExitCode.DIVERGED if diverged or dropped else ExitCode.DONE
 
 
-def _how_to_resume(out: Path) -> str:
-    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out)}"
+def _how_to_resume(out: Path, tracker: str | None) -> str:
+    track = [] if tracker is None else ["--track", tracker]
+    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out, *track)}"

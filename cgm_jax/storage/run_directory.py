@@ -3,7 +3,8 @@
 DIR/config.json           everything needed to run it again, versions included
 DIR/metrics.jsonl         one object per run and epoch
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
-DIR/figures/*.png
+DIR/figures/*.png         and best_policy.gif, where a tracker is to have it
+DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
 
@@ -18,7 +19,7 @@ import os
 import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import MAX_NAME, Group, Run, run_of, structure
 from cgm_jax.config.named import absolute, is_own, require_named
+from cgm_jax.config.shards import Shard
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import restore_config
 from cgm_jax.storage.files import replacing
@@ -39,7 +41,9 @@ from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 METRICS = "metrics.jsonl"
 CONFIG = "config.json"
-PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
+PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints", "tracking")
+
+WANDB_LOG = "debug-core.log"
 
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
@@ -98,8 +102,16 @@ class RunDirectory:
         except OSError:  # such as a name that is too long
             return False
 
-    def write_config(self, groups: list[Group], preset: str, device: str) -> None:
-        """Record how to run the sweep again; `device` names what JAX computes on.
+    def write_config(
+        self, groups: list[Group], preset: str, device: str, shard: Shard | None = None
+    ) -> None:
+        """Record how to run the sweep again.
+
+        Args:
+            groups: what is trained.
+            preset: with which it began.
+            device: what JAX computes on.
+            shard: of which sweep the groups are a part, if they are one.
 
         Raises:
             SettingError: a run's name cannot be that of a file.
@@ -107,12 +119,13 @@ class RunDirectory:
         for group in groups:
             for run in group.runs:
                 _check_name(run.name)
-        self._write_config(
+        self.replace_config(
             {
                 "format": FORMAT,
                 "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
                 "preset": preset,
                 "started": _now(),
+                **({} if shard is None else {"shard": asdict(shard)}),
                 "groups": [
                     {"runs": [{"name": run.name, **run.values} for run in group.runs]}
                     for group in groups
@@ -121,7 +134,12 @@ class RunDirectory:
             }
         )
 
-    def _write_config(self, config: Mapping[str, Any]) -> None:
+    def replace_config(self, config: Mapping[str, Any]) -> None:
+        """Make this the config.
+
+        Raises:
+            OSError: it cannot be written.
+        """
         with replacing(self.path / CONFIG, durable=True) as file:
             file.write((json.dumps(config, indent=2) + "\n").encode())
 
@@ -143,6 +161,41 @@ class RunDirectory:
             return restore_config(self.path / CONFIG, self.path / "checkpoints")
         except OSError as error:
             raise SettingError(f"out: cannot write to {self.path}: {error.strerror}") from None
+
+    def config(self) -> dict[str, Any]:
+        """What config.json says, in the present format, unchecked but for its outline.
+
+        Raises:
+            SettingError: it is damaged, or of a newer version.
+        """
+        try:
+            config = upgraded(self._config())
+            for group in config["groups"]:
+                for run in group["runs"]:
+                    _check_name(run["name"])
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        return config
+
+    def shard(self) -> Shard | None:
+        """Of which sweep the directory holds a part; None if it holds a whole one.
+
+        Raises:
+            SettingError: the config is damaged.
+        """
+        try:
+            entry = self._config().get("shard")
+            if entry is None:
+                return None
+            shard = Shard(**{**entry, "swept": tuple(entry["swept"])})
+            numbers, texts = (shard.part, shard.parts), (shard.sweep, *shard.swept)
+            if {type(number) for number in numbers} != {int} or not 1 <= shard.part <= shard.parts:
+                raise ValueError(f"shard {shard.part!r:.20} of {shard.parts!r:.20}")
+            if not all(isinstance(text, str) for text in texts):
+                raise TypeError("shard: its names are no text")
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        return shard
 
     def groups(self, moved: Mapping[str, str] | None = None) -> list[Group]:
         """The sweep's groups of runs, read back from its config.
@@ -236,7 +289,7 @@ class RunDirectory:
             }
         except UNREADABLE as error:
             raise self._damaged(error) from None
-        self._write_config(config)
+        self.replace_config(config)
 
     def _config(self) -> Any:
         path = self.path / CONFIG
@@ -371,7 +424,8 @@ def _check_name(name: Any) -> None:
 def _check_parts(path: Path) -> None:
     """Check that all parts of a run directory are ordinary files and directories.
 
-    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to.
+    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
+    that wandb makes beside its log is left alone, since nothing here opens it.
 
     Raises:
         SettingError: one is not.
@@ -380,6 +434,8 @@ def _check_parts(path: Path) -> None:
         for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
             for name in (*folders, *files):
                 found = Path(folder) / name
+                if part == "tracking" and name == WANDB_LOG and Path(folder).name == "logs":
+                    continue
                 try:
                     mode = found.lstat().st_mode
                 except OSError:  # there is none
