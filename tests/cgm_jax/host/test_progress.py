@@ -91,7 +91,8 @@ def test_lines_in_a_log_are_as_long_as_what_they_say(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "40")
     rows = [{"run": name, "success_rate": 0.5, "env_steps": 10**9} for name in NAMES]
-    with SweepProgress(10) as progress:
+    with SweepProgress() as progress:
+        progress.expect(10)
         progress.epoch(1, rows)
     with JointProgress({1: Path("none")}, {1: 10}) as joint:
         joint._next_line = 0.0
