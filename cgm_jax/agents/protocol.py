@@ -10,10 +10,11 @@ beyond 1e9, is frozen and named by the field; fields whose names end in "optimis
 Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - gamma), 0].
 """
 
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.sizes import Sizes
@@ -38,6 +39,7 @@ class Minibatch(struct.PyTreeNode):
     next_inputs: jax.Array
 
 
+@runtime_checkable
 class Agent(Protocol[State]):
     """Pure functions of one run over a state; derive from it.
 
@@ -61,7 +63,9 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def act(self, state: State, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: State, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """Actions [..., action] in [-1, 1] for training, from normalised inputs [..., inputs].
 
         Args:
@@ -71,7 +75,12 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def value(self, state: State, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: State,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects of an action, [critics, ...]."""
         ...
 
