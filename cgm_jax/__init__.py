@@ -1,7 +1,7 @@
 """Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
 
 Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.launch` (a
-sweep in parts) and `.merge`, `.evaluate`, `.benchmark`. Behind them, in rooms:
+sweep in parts) and `.merge`, `.evaluate`, `.report`, `.benchmark`. Behind them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
@@ -14,7 +14,8 @@ sweep in parts) and `.merge`, `.evaluate`, `.benchmark`. Behind them, in rooms:
     host/        the process around training: signals, memory, progress
     machine/     what the process was given: cores, memory
     launching/   many processes for one sweep: this machine, SLURM, Ray
-    results/     what is made of runs: figures, merged parts, measured policies, videos
+    results/     what is made of runs: figures, a page, merged parts, measured policies, videos,
+                 trackers
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 
@@ -23,7 +24,7 @@ may change with any version:
 
     from cgm_jax.agents.ddpg import DDPG
     from cgm_jax.agents.gradients import ADAM, descend
-    from cgm_jax.agents.networks import apply_actor, initial_actor
+    from cgm_jax.agents.networks import apply_actor, init_actor
     from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
     from cgm_jax.agents.sac import SAC
     from cgm_jax.agents.td3 import TD3
@@ -40,6 +41,8 @@ may change with any version:
     from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
     from cgm_jax.replay.protocol import Relabelling, Transitions
     from cgm_jax.replay.ring import Episodes, Replay
+    from cgm_jax.report import main
+    from cgm_jax.results.trackers.protocol import Tracker
     from cgm_jax.storage.policies import act, load_policy
     from cgm_jax.storage.run_directory import RunDirectory
     from cgm_jax.sweep import main

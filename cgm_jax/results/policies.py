@@ -12,9 +12,9 @@ from flax import struct
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.settings import Hyperparameters, Settings
-from cgm_jax.curricula.goals import is_achieved
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.goals import is_achieved
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
