@@ -26,7 +26,7 @@ may change with any version:
 
     from cgm_jax.agents.ddpg import DDPG
     from cgm_jax.agents.gradients import ADAM, descend
-    from cgm_jax.agents.networks import apply_actor, initial_actor
+    from cgm_jax.agents.networks import apply_actor, init_actor
     from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
     from cgm_jax.agents.sac import SAC
     from cgm_jax.agents.td3 import TD3

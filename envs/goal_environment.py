@@ -1,12 +1,14 @@
 """What an environment must offer to be trained on, and what more it may offer."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import numpy as np
-from brax.envs.base import State
+
+from cgm_jax.envs.quiet_import import State
 
 
+@runtime_checkable
 class GoalEnvironment(Protocol):
     """A goal-conditioned environment of pure functions, for one episode at a time.
 
@@ -97,6 +99,7 @@ class JudgingEnvironment(GoalEnvironment, Protocol):
         ...
 
 
+@runtime_checkable
 class StartableEnvironment(GoalEnvironment, Protocol):
     """An environment whose episodes can also begin in a state that an earlier one visited.
 

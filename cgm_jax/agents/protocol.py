@@ -11,12 +11,14 @@ Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - 
 an environment has rewards of its own (`Minibatch.reward_range`) or ends episodes (`continues`).
 """
 
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.sizes import Sizes
 
 State = TypeVar("State")
@@ -47,6 +49,7 @@ class Minibatch(struct.PyTreeNode):
         return jnp.asarray(discount if self.continues is None else discount * self.continues)
 
 
+@runtime_checkable
 class Agent(Protocol[State]):
     """Pure functions of one run over a state; derive from it.
 
@@ -70,7 +73,9 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def act(self, state: State, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: State, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """Actions [..., action] in [-1, 1] for training, from normalised inputs [..., inputs].
 
         Args:
@@ -80,7 +85,12 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def value(self, state: State, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: State,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects of an action, [critics, ...]."""
         ...
 
@@ -99,6 +109,15 @@ class Agent(Protocol[State]):
         {"params": {"layer_0": {"kernel": [in, out], "bias": [out]}, ...}}.
         """
         ...
+
+    def with_actor(self, state: State, actor: Parameters) -> State:
+        """The state with another policy, `actor`'s inverse: what `--from policy.npz` needs.
+
+        Raises:
+            SettingError: the agent does not offer it.
+        """
+        del state, actor
+        raise SettingError("from: the agent does not take a policy over; name a run directory")
 
     def idle(self) -> frozenset[str]:
         """Names of settings that have no effect, given the others; for concrete values only."""

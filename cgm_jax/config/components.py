@@ -10,6 +10,7 @@ import functools
 import importlib
 import inspect
 import pkgutil
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cgm_jax.config.fields import Field, SettingError, declared
@@ -21,6 +22,9 @@ ROOMS = {
     "relabelling": "cgm_jax.replay",
 }
 """Where the components of each kind are; `protocol.py` there says what they offer."""
+
+DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
+"""Names of the components of a run that names none."""
 
 TRACK = "track"
 PLACES = {**ROOMS, TRACK: "cgm_jax.results.trackers"}
@@ -82,3 +86,32 @@ def builtin_fields() -> dict[str, "Field[Any]"]:
         for found in builtin(kind).values()
         for item in declared(found)
     }
+
+
+def own_fields(chosen: Mapping[str, Sequence[str]]) -> dict[str, "Field[Any]"]:
+    """Every setting of the components of the user's own among those chosen, by name.
+
+    Args:
+        chosen: names by kind; other entries are not read.
+
+    Raises:
+        SettingError: as `component`.
+    """
+    return {
+        item.name: item
+        for kind in ROOMS
+        for name in chosen.get(kind, ())
+        if is_own(name)
+        for item in declared(component(kind, name))
+    }
+
+
+@functools.cache
+def owners() -> dict[str, list[tuple[str, str]]]:
+    """Which of our components have each setting of theirs: kinds and names, by the setting."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for kind in ROOMS:
+        for name, one in sorted(builtin(kind).items()):
+            for item in declared(one):
+                found.setdefault(item.name, []).append((kind, name))
+    return found

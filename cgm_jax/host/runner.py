@@ -20,6 +20,7 @@ from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs
 from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
+from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
@@ -28,7 +29,7 @@ from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.metrics import Row
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.run_directory import CONFIG, RunDirectory, start_beside
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,10 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
         print(f"{note}; {where}", file=sys.stderr)
     if training is None:
         with device_errors():
-            training = TrainingProgress(jax.block_until_ready(job.programs.start(hyper)))
+            state = job.programs.start(hyper)
+            if (start := start_beside(directory.path / CONFIG)) is not None:
+                state = start_from(read_source(start), job.programs, hyper, state)
+            training = TrainingProgress(jax.block_until_ready(state))
     return training
 
 
@@ -231,12 +235,17 @@ def _train(
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
     settings, programs, hyper = job.group.settings, job.programs, job.group.hyper()
     began, pace = time.monotonic() - training.wall_s, Pace()
+    progress.compiling()
+    evaluates_first = True
     with watchdog() as something_happened:
         while not _is_finished(job.group, training):
             if training.cycle < settings.cycles_per_epoch:
                 _train_chunk(programs, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
             else:
+                if evaluates_first:
+                    progress.compiling()
+                    evaluates_first = False
                 metrics = _close_epoch(programs, training, hyper)
                 training.wall_s = time.monotonic() - began
                 progress.epoch(training.epoch, recorder.record_epoch(training, metrics))

@@ -204,12 +204,17 @@ def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
     for name in OWN:
         if getattr(options, name) is not None:
             raise SettingError(f"{name}: goes before --, or is the launch's own")
+    for name, option in (("config", "config"), ("start", "from"), ("dry_run", "dry_run")):
+        if getattr(options, name):
+            raise SettingError(f"{option}: a launch takes its sweep from options alone")
     chosen = seed_values(options, chosen_values(options))
-    options.resumes(chosen)  # checks the rest
-    preset = options.preset or "quick"
+    options.resumes()  # checks the rest
+    preset = options.preset or options.default_preset
     groups = build_groups(preset, chosen)
     for kind, text in _own_code(options):
-        importlib.import_module("cgm_jax.envs")  # MJX without its remarks, ahead of Brax
+        importlib.import_module(
+            "cgm_jax.envs.quiet_import"
+        )  # MJX without its remarks, ahead of Brax
         load_named(kind, text)
     return groups, preset
 

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.curricula.goals import apply_mask, is_achieved
 from cgm_jax.envs import GoalEnvironment
+from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Transitions
 
 Rule = Callable[[jax.Array, jax.Array], jax.Array]

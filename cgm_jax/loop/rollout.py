@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import State
 from flax import struct
+from jaxtyping import Array, Bool
 
-from cgm_jax.curricula.goals import apply_mask
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.envs import GoalEnvironment
+from cgm_jax.envs.goals import apply_mask
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.judging import may_end, subgoals_succeed, succeeds
 from cgm_jax.replay.ring import Episodes
@@ -111,7 +112,7 @@ def roll_out(
     return rollout.replace(record=record, outcomes=rollout.outcomes.replace(visited=visited))
 
 
-def choose(condition: jax.Array, yes: State, no: State) -> State:
+def choose(condition: Bool[Array, " E"], yes: State, no: State) -> State:
     """Of two batches of states with leading axis [E], row by row by a condition [E]."""
     pick = jax.vmap(lambda chosen, x, y: jnp.where(chosen, x, y))
     return jax.tree.map(lambda x, y: pick(condition, x, y), yes, no)

@@ -11,9 +11,9 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.judging import has_own_rules, may_end
-from cgm_jax.loop.normaliser import initial_normaliser
-from cgm_jax.loop.state import TrainingState, empty_statistics
-from cgm_jax.replay.ring import empty_replay
+from cgm_jax.loop.normaliser import init_normaliser
+from cgm_jax.loop.state import TrainingState, init_statistics
+from cgm_jax.replay.ring import init_replay
 
 
 class Setup(NamedTuple):
@@ -65,7 +65,7 @@ def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
     )
 
 
-def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
+def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
     """The state of a run before any training; of its randomness, `hyper.seed` is all.
 
     Raises:
@@ -90,13 +90,13 @@ def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
         key=key,
         agent=hyper.agent.init(agent_key, known),
         curriculum=hyper.curriculum.init(known),
-        normaliser=initial_normaliser(
+        normaliser=init_normaliser(
             known.observation,
             known.goal,
             limit=settings.normaliser_limit,
             distance_threshold=known.distance_threshold,
         ),
-        replay=empty_replay(
+        replay=init_replay(
             max(settings.replay_transitions // length, settings.environments),
             length,
             known.observation,
@@ -104,7 +104,7 @@ def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
             known.action,
             may_end=may_end(setup.env),
         ),
-        statistics=empty_statistics(setup.masks, hyper.agent.logged),
+        statistics=init_statistics(setup.masks, hyper.agent.logged),
         env_steps=jnp.zeros((), jnp.int32),
         updates=jnp.zeros((), jnp.int32),
         failure=jnp.zeros((), jnp.int32),

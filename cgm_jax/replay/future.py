@@ -13,9 +13,10 @@ mask, as GS-HER does (2026, arXiv 2606.09476).
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
 
 from cgm_jax.config.fields import settings, traced
-from cgm_jax.curricula.goals import apply_mask, is_achieved
+from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Relabelling, Transitions
 from cgm_jax.replay.ring import Replay, size
 
@@ -81,19 +82,23 @@ class Future(Relabelling):
         return frozenset() if self.her else frozenset({"her_k", "her_filter", "her_masks"})
 
 
-def moved_goal(achieved_goal: jax.Array, distance_threshold: float) -> jax.Array:
+def moved_goal(
+    achieved_goal: Float[Array, "E steps n"], distance_threshold: float
+) -> Bool[Array, " E"]:
     """Whether episodes moved their achieved goal [E, T + 1, n], [E] bool; see `MIN_MOTION`."""
     strayed = jnp.linalg.norm(achieved_goal[:, 1:] - achieved_goal[:, :1], axis=-1).max(axis=1)
     return strayed > MIN_MOTION * distance_threshold
 
 
-def _drawn_among(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
+def _drawn_among(
+    eligible: Bool[Array, " C"], uniform: Float[Array, " count"]
+) -> Int[Array, " count"]:
     """Turn numbers uniform in [0, 1) into indices, uniform among those that are eligible."""
     count = jnp.cumsum(eligible)
     return jnp.searchsorted(count, 1 + integer_below(count[-1], uniform))
 
 
-def integer_below(bound: int | jax.Array, uniform: jax.Array) -> jax.Array:
+def integer_below(bound: int | jax.Array, uniform: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """Turn numbers uniform in [0, 1) into integers uniform in {0..bound - 1}.
 
     Far cheaper to compile than `jax.random.randint`. JAX's float32 draws have 23 bits, which makes

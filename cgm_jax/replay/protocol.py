@@ -4,7 +4,7 @@ It is a class of settings (see `config/fields.py`) with one pure function of one
 vmaps over runs, the settings included.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 from flax import struct
@@ -40,6 +40,7 @@ class Transitions(struct.PyTreeNode):
     continues: jax.Array | None = None
 
 
+@runtime_checkable
 class Relabelling(Protocol):
     """A way to draw transitions and to choose their goals."""
 

@@ -7,6 +7,7 @@ step follow from one (goal, mask) pair and the achieved goals.
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Bool, Int
 
 
 class Episodes(struct.PyTreeNode):
@@ -44,7 +45,7 @@ class Replay(struct.PyTreeNode):
     inserted: jax.Array
 
 
-def empty_replay(
+def init_replay(
     capacity: int,
     episode_length: int,
     observation_size: int,
@@ -72,7 +73,7 @@ def empty_replay(
     return Replay(episodes, jnp.zeros((), jnp.int32))
 
 
-def insert(replay: Replay, episodes: Episodes, valid: jax.Array) -> Replay:
+def insert(replay: Replay, episodes: Episodes, valid: Bool[Array, " batch"]) -> Replay:
     """Insert the valid ones of a batch of episodes, in order, over the oldest.
 
     Args:
@@ -96,6 +97,6 @@ def insert(replay: Replay, episodes: Episodes, valid: jax.Array) -> Replay:
     )
 
 
-def size(replay: Replay) -> jax.Array:
+def size(replay: Replay) -> Int[Array, ""]:
     """Number of episodes that the ring holds, int32 scalar."""
     return jnp.minimum(replay.inserted, replay.episodes.mask.shape[0])

@@ -41,7 +41,7 @@ def train(
     """Make the directory that training a part up to an epoch would leave."""
     pieces, shard = cut(groups, part, parts)
     with RunDirectory.claimed(path, fresh=True) as directory:
-        directory.write_config(pieces, "smoke", "1 x cpu", shard)
+        directory.write_config(pieces, "smoke", "1 x cpu", shard=shard)
         all_rows = []
         for index, group in enumerate(pieces):
             own = [row(r, e, **values) for e in range(1, until + 1) for r in group.runs]
