@@ -135,7 +135,8 @@ def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
 ) -> None:
     ran = folder / "ran"
     (folder / "x.py").write_text(
-        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\nfrom launched_point import PointMass\n"
+        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n"
+        "from launched_point import PointMass\n"
     )
     shutil.copy(POINT_MASS.partition(":")[0], "launched_point.py")
     own = f"{folder}/x.py:PointMass"
