@@ -104,4 +104,5 @@ def integer_below(bound: int | jax.Array, uniform: Float[Array, "*shape"]) -> In
     Far cheaper to compile than `jax.random.randint`. JAX's float32 draws have 23 bits, which makes
     probabilities uneven by at most bound / 2^23. Rounding must not reach the bound.
     """
-    return jnp.minimum(jnp.floor(uniform * bound).astype(jnp.int32), bound - 1)
+    scaled = uniform * jnp.asarray(bound, uniform.dtype)
+    return jnp.minimum(jnp.floor(scaled).astype(jnp.int32), bound - 1)

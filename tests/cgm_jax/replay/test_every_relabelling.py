@@ -108,7 +108,9 @@ def test_transitions_are_real_ones_with_their_goals_masked_and_rewards_recompute
 ) -> None:
     done = trained(name)
     replay, relabelling = done.replay(run), done.runs[run].relabelling
-    drawn = jax.tree.map(np.asarray, sample(relabelling, replay, jax.random.key(1)))
+    with jax.numpy_dtype_promotion("strict"):  # no type becomes another unless the code says so
+        drawn = sample(relabelling, replay, jax.random.key(1))
+    drawn = jax.tree.map(np.asarray, drawn)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn))  # none of no episode
     episodes = jax.tree.map(np.asarray, replay.episodes)
     assert set(np.unique(drawn.mask)) <= {0.0, 1.0}
