@@ -10,7 +10,9 @@ observations.py      from sensor readings to the Gymnasium-Robotics observation
 scene.py             the MJCF model, its names resolved to indices once
 rendering.py         frames of a scene and its (masked) goal, without a display
 quiet_import.py      Brax's states and MJX, imported without remarks
+viewer.py            MuJoCo's viewer on episodes, with a display
 gymnasium/           the same tasks for Gymnasium, one by one and batched
+hosted/              Gymnasium's goal environments as tasks, in a process of their own
 physics/             one protocol, several engines: native (C MuJoCo), mjx, warp
 
 What `__all__` names is imported when it is first asked for: MJX alone takes longer to import than
@@ -21,16 +23,31 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cgm_jax.envs.goal_environment import GoalEnvironment, StartableEnvironment
+    from cgm_jax.envs.goal_environment import (
+        GoalEnvironment,
+        JudgingEnvironment,
+        RenderableEnvironment,
+        StartableEnvironment,
+    )
     from cgm_jax.envs.names import ENGINES, TASKS, make
 
-__all__ = ["ENGINES", "TASKS", "GoalEnvironment", "StartableEnvironment", "make"]
+__all__ = [
+    "ENGINES",
+    "TASKS",
+    "GoalEnvironment",
+    "JudgingEnvironment",
+    "RenderableEnvironment",
+    "StartableEnvironment",
+    "make",
+]
 
 _PLACES = {
     "ENGINES": "names",
     "TASKS": "names",
     "make": "names",
     "GoalEnvironment": "goal_environment",
+    "JudgingEnvironment": "goal_environment",
+    "RenderableEnvironment": "goal_environment",
     "StartableEnvironment": "goal_environment",
 }
 

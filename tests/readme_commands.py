@@ -18,9 +18,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 PLACEHOLDER = re.compile(r"\b(DIR|COMMIT|FILE|NAME)\b")
-LEFT_OUT = ("cgm_jax.benchmark", "--on slurm", "--on ray", "stable_baselines3", "pandas", "npz")
+LEFT_OUT = (
+    *("cgm_jax.benchmark", "--on slurm", "--on ray", "stable_baselines3", "pandas", "npz"),
+    "panda_gym",
+)
 """The benchmark wants a machine to itself; SLURM, Ray and Stable-Baselines3 have targets of their
-own; pandas and the policy that is evaluated in numpy have tests that do not need a wheel."""
+own; pandas and the policy that is evaluated in numpy have tests that do not need a wheel; panda-gym
+is large."""
 
 
 def commands() -> list[list[str]]:

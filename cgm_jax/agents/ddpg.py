@@ -118,7 +118,8 @@ class DDPG(Agent[DDPGState]):
         losses, means = [], []
         for one, its_target in zip(critic, state.target_critic, strict=True):
             next_value = apply_critic(its_target, batch.next_inputs, next_action)
-            target = clip_return(batch.reward + self.discount * next_value, self.discount)
+            target = batch.reward + batch.discounts(self.discount) * next_value
+            target = clip_return(target, self.discount, batch.reward_range)
             value = apply_critic(one, batch.inputs, batch.action)
             losses.append(jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value)))
             means.append(value.mean())

@@ -52,12 +52,20 @@ def follow(
     return optax.incremental_update(networks, targets, rate)
 
 
-def clip_return(value: jax.Array, discount: float | jax.Array) -> jax.Array:
-    """What a return can be where rewards are -1 or 0 for ever: within [-1 / (1 - gamma), 0]."""
-    return jnp.clip(value, -1.0 / (1.0 - discount), 0.0)
+def clip_return(
+    value: jax.Array,
+    discount: float | jax.Array,
+    reward_range: tuple[float, float] = (-1.0, 0.0),
+) -> jax.Array:
+    """What a return can be: with rewards of -1 or 0 for ever within [-1 / (1 - gamma), 0].
+
+    Of an episode that ends no return is beyond 0 or one that goes on for ever, whichever is.
+    """
+    low, high = min(reward_range[0], 0.0), max(reward_range[1], 0.0)
+    return jnp.clip(value, low / (1.0 - discount), high / (1.0 - discount))
 
 
-class NoisyMinibatch(Minibatch):
+class NoisyMinibatch(Minibatch, kw_only=True):
     """Transitions with standard normal noise for actions in their states.
 
     Attributes:

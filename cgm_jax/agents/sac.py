@@ -137,11 +137,12 @@ class SAC(Agent[SACState]):
         next_action, log_probability = sample(state.actor, batch.next_inputs, batch.next_noise)
         next_value = apply_critics(state.target_critic, batch.next_inputs, next_action).min(axis=0)
         temperature = jnp.exp(state.log_temperature)
-        target = batch.reward + self.discount * (next_value - temperature * log_probability)
+        discount = batch.discounts(self.discount)
+        target = batch.reward + discount * (next_value - temperature * log_probability)
         # The future entropy of uniform actions in [-1, 1].
         shift = temperature * batch.action.shape[-1] * math.log(2.0)
-        shift *= self.discount / (1.0 - self.discount)
-        target = clip_return(target - shift, self.discount) + shift
+        shift *= discount / (1.0 - self.discount)
+        target = clip_return(target - shift, self.discount, batch.reward_range) + shift
         value = apply_critics(critic, batch.inputs, batch.action)
         return critic_errors(value, target)
 

@@ -43,7 +43,8 @@ class TD3(DDPG):
         next_action = apply_actor(state.target_actor, batch.next_inputs) + noise
         next_action = jnp.clip(next_action, -1.0, 1.0)
         next_value = apply_critics(state.target_critic, batch.next_inputs, next_action).min(axis=0)
-        target = clip_return(batch.reward + self.discount * next_value, self.discount)
+        target = batch.reward + batch.discounts(self.discount) * next_value
+        target = clip_return(target, self.discount, batch.reward_range)
         value = apply_critics(critic, batch.inputs, batch.action)
         return critic_errors(value, target)
 

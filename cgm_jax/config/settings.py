@@ -21,7 +21,9 @@ class Settings:
         SettingError: a value out of its range.
     """
 
-    env: str = static("push", "reach, push, pick_and_place, or FILE.py:FACTORY of your own")
+    env: str = static(
+        "push", "reach, push, pick_and_place, FILE.py:FACTORY of your own, or gymnasium:MODULE:ID"
+    )
     engine: str = static("auto", "auto, native, mjx or warp")
     air_probability: float | None = static(
         None, "chance of a pick-and-place goal in the air (default: 1)", 0, 1

@@ -198,6 +198,7 @@ def _train(
         shown: what is on the terminal until training ends.
         progress: part of that.
         tracking: is told of every epoch.
+        tracking: is told of every epoch.
     """
     from cgm_jax.host.runner import run_jobs
 

@@ -10,6 +10,7 @@ from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment
+from cgm_jax.loop.judging import has_own_rules, may_end
 from cgm_jax.loop.normaliser import init_normaliser
 from cgm_jax.loop.state import TrainingState, init_statistics
 from cgm_jax.replay.ring import init_replay
@@ -77,6 +78,12 @@ def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
         name = type(hyper.curriculum).__module__.rpartition(".")[2]
         least = hyper.curriculum.needs_critics
         raise SettingError(f"critics: {known.critics}, but curriculum {name} needs {least} or more")
+    if hyper.curriculum.shows_threshold and has_own_rules(setup.env):
+        name = type(hyper.curriculum).__module__.rpartition(".")[2]
+        raise SettingError(
+            f"curriculum: {name} varies the distance threshold, but env has a rule of success "
+            "of its own"
+        )
     key, agent_key = jax.random.split(jax.random.key(hyper.seed))
     length = known.episode_length
     return TrainingState(
@@ -95,6 +102,7 @@ def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
             known.observation,
             known.goal,
             known.action,
+            may_end=may_end(setup.env),
         ),
         statistics=init_statistics(setup.masks, hyper.agent.logged),
         env_steps=jnp.zeros((), jnp.int32),

@@ -2,7 +2,8 @@
 
 Andrychowicz et al. (2017), strategy "future": a relabelled transition at step t gets the goal
 achieved at a uniformly drawn later step t' of {t+1..T}, with the full mask. The others keep
-their episode's own goal and mask.
+their episode's own goal and mask. Where the environment ended an episode, T is its last step, and
+what ended it ends it whatever the goal, as in Stable-Baselines3's HER.
 
 With the filter on, only episodes that moved the achieved goal are relabelled. In the others every
 hindsight goal is achieved from the start by doing nothing, and early on, while an arm has yet to
@@ -52,8 +53,10 @@ class Future(Relabelling):
             _drawn_among(eligible, for_episode),
             integer_below(jnp.maximum(size(replay), 1), for_episode),
         )
-        step = integer_below(episode_length, for_step)
-        future = step + 1 + integer_below(episode_length - step, for_future)
+        ends = None if episodes.length is None else episodes.length[episode]
+        steps = episode_length if ends is None else jnp.minimum(ends, episode_length)
+        step = integer_below(steps, for_step)
+        future = step + 1 + integer_below(steps - step, for_future)
 
         hindsight_goal = episodes.achieved_goal[episode, future]
         goal = jnp.where(relabel[:, None], hindsight_goal, episodes.desired_goal[episode])
@@ -70,6 +73,8 @@ class Future(Relabelling):
             reward=jnp.where(is_achieved(goal, mask, next_achieved, threshold), 0.0, -1.0),
             next_observation=episodes.observation[episode, step + 1],
             next_goal=apply_mask(goal, mask, next_achieved),
+            next_achieved=next_achieved,
+            continues=None if ends is None else (step + 1 != ends).astype(jnp.float32),
         )
 
     def idle(self) -> frozenset[str]:

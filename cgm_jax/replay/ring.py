@@ -20,6 +20,8 @@ class Episodes(struct.PyTreeNode):
         desired_goal: the goal before masking, [episodes, n].
         mask: [episodes, n] of 0 and 1.
         threshold: the goal is achieved closer than this, [episodes].
+        length: the steps until the environment ended the episode, or T + 1 where it did not,
+            int32 [episodes]; None where the environment never ends one.
     """
 
     observation: jax.Array
@@ -28,6 +30,7 @@ class Episodes(struct.PyTreeNode):
     desired_goal: jax.Array
     mask: jax.Array
     threshold: jax.Array
+    length: jax.Array | None = None
 
 
 class Replay(struct.PyTreeNode):
@@ -43,9 +46,15 @@ class Replay(struct.PyTreeNode):
 
 
 def init_replay(
-    capacity: int, episode_length: int, observation_size: int, goal_size: int, action_size: int
+    capacity: int,
+    episode_length: int,
+    observation_size: int,
+    goal_size: int,
+    action_size: int,
+    *,
+    may_end: bool = False,
 ) -> Replay:
-    """A ring for `capacity` episodes.
+    """A ring for `capacity` episodes, which `may_end` before their last step.
 
     Raises:
         ValueError: the capacity is below 1.
@@ -59,6 +68,7 @@ def init_replay(
         desired_goal=jnp.zeros((capacity, goal_size)),
         mask=jnp.zeros((capacity, goal_size)),
         threshold=jnp.zeros(capacity),
+        length=jnp.zeros(capacity, jnp.int32) if may_end else None,
     )
     return Replay(episodes, jnp.zeros((), jnp.int32))
 
