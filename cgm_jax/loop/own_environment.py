@@ -221,7 +221,7 @@ def _reward_range(env: Any, name: str) -> tuple[float, float]:
 
 def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
     """Trace the environment's own rules, without running them."""
-    goal = jax.ShapeDtypeStruct(first.obs["desired_goal"].shape, np.float32)
+    goal = jax.ShapeDtypeStruct(first.state.obs["desired_goal"].shape, np.float32)
     tolerance = getattr(own, "_tolerance", None)
     if tolerance is not None and tolerance.shape != goal.shape:
         raise SettingError(
