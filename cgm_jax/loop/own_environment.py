@@ -46,8 +46,8 @@ class OwnState(struct.PyTreeNode):
     warnings: jax.Array
 
     @property
-    def obs(self) -> dict[str, jax.Array]:
-        """Observation, achieved and desired goal."""
+    def obs(self) -> dict[str, Any]:
+        """Observation, achieved and desired goal: arrays, or their shapes."""
         return {name: self.state.obs[name] for name in ENTRIES}
 
     @property
