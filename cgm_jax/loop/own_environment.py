@@ -46,8 +46,8 @@ class OwnState(struct.PyTreeNode):
     warnings: jax.Array
 
     @property
-    def obs(self) -> dict[str, jax.Array]:
-        """Observation, achieved and desired goal."""
+    def obs(self) -> dict[str, Any]:
+        """Observation, achieved and desired goal: arrays, or their shapes."""
         return {name: self.state.obs[name] for name in ENTRIES}
 
     @property
@@ -221,7 +221,7 @@ def _reward_range(env: Any, name: str) -> tuple[float, float]:
 
 def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
     """Trace the environment's own rules, without running them."""
-    goal = jax.ShapeDtypeStruct(first.obs["desired_goal"].shape, np.float32)
+    goal = jax.ShapeDtypeStruct(first.state.obs["desired_goal"].shape, np.float32)
     tolerance = getattr(own, "_tolerance", None)
     if tolerance is not None and tolerance.shape != goal.shape:
         raise SettingError(
