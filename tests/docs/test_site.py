@@ -1,4 +1,4 @@
-"""The site: what its pages point to is there; `make test-docs` also builds it and runs the notebook."""
+"""The site: what pages point to is there. `make test-docs` also builds it and runs the notebook."""
 
 import json
 import re
