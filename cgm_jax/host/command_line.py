@@ -25,6 +25,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.settings import LOOP_FIELDS
+from cgm_jax.host.devices import ALL, parse_devices
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.streams import make_streams_harmless
 from cgm_jax.storage.lock import InUseError
@@ -111,6 +112,10 @@ class TrainingOptions(SettingOptions):
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
 
+    devices: str = ALL
+    """Devices that share the runs: a number or all. A CPU has one for each core that it was given;
+    has no effect on results."""
+
     def resumes(self, chosen: Grid) -> bool:
         """Whether to resume a directory, whose settings are then already chosen.
 
@@ -122,6 +127,7 @@ class TrainingOptions(SettingOptions):
             raise SettingError(
                 f"checkpoint_seconds: {seconds} is not a finite number of at least 0"
             )
+        parse_devices(self.devices)
         for name in ("out", "resume"):
             if getattr(self, name) == Path():
                 raise SettingError(f"{name}: is empty")

@@ -14,6 +14,7 @@ from cgm_jax.config.grid import Group, Run, structure
 from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
+from cgm_jax.host.devices import check_devices, cpu_devices, parse_devices
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
@@ -48,16 +49,18 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
             named = {kind: getattr(options, kind) or () for kind in NAMES}
             moved = RunDirectory.open(out).moved(named)
         recorded = None if out is None else _recorded_groups(out, groups, moved)
-        prepare_jax()
+        to_train, asked = recorded or groups or [], parse_devices(options.devices)
+        prepare_jax(cpu_devices(asked, to_train))
         import jax
 
         from cgm_jax.host.runner import plan_jobs
 
-        jobs, notes = plan_jobs(recorded or groups or [], planned=recorded is not None)
+        check_devices(asked)
+        jobs, notes = plan_jobs(to_train, jax.devices()[:asked], planned=recorded is not None)
         out = out or _new_directory(preset)
         try:
             with RunDirectory.claimed(out, fresh=recorded is None) as directory:
-                device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
+                device = jax.devices()[0].device_kind
                 if recorded is None:
                     directory.write_config([job.group for job in jobs], preset, device)
                 else:

@@ -1,5 +1,6 @@
 """JAX's own settings, made before it touches a device."""
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -14,14 +15,24 @@ libraries. It has no effect on a GPU.
 """
 
 
-def prepare_jax() -> None:
+DEVICE_COUNT = "xla_force_host_platform_device_count"
+"""A user's own flag for what `prepare_jax` is asked for."""
+
+
+def prepare_jax(cpu_devices: int = 1) -> None:
     """Compile fast, keep compiled programs between processes, and take the cores given.
 
     Variables and flags that the user has set are left alone.
+
+    Args:
+        cpu_devices: how many devices JAX is to make of a CPU. Has no effect on a GPU.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{OPTIMISATION_LEVEL}=1".strip()
+    if DEVICE_COUNT not in flags:
+        with contextlib.suppress(RuntimeError):  # JAX has started; then it stays as it is
+            jax.config.update("jax_num_cpu_devices", cpu_devices)
     # Threads of XLA on a CPU, which by itself looks at the affinity alone.
     os.environ.setdefault("PJRT_NPROC", str(available_cores()))
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (cache := _cache_directory()) is not None:

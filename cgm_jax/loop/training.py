@@ -8,15 +8,17 @@
 One run is a sweep of one: `jax.vmap` the same functions over states and hyperparameters.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
+from jax.sharding import Mesh
 
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cycle import cycle
+from cgm_jax.loop.devices import ON_EACH, SPREAD, Device, mesh_of, on_mesh, spread
 from cgm_jax.loop.evaluation import Metrics, evaluate
 from cgm_jax.loop.setup import Setup, initial_state, make_setup
 from cgm_jax.loop.state import TrainingState
@@ -75,13 +77,16 @@ def epoch(
 
 
 class Programs(NamedTuple):
-    """A trainer's functions, jitted and vmapped over a leading axis of runs.
+    """A trainer's functions, jitted, over a leading axis of runs that devices share.
 
     One compiled program each per number of runs and structure of their settings, whatever the
     values that they sweep.
 
     Attributes:
         trainer: whose programs these are.
+        mesh: the devices, each of which has its share of the runs.
+        spread: hyperparameters, or states from a file, to what the others take: on their devices,
+            and with the last run repeated until the devices share the axis equally.
         start: hyperparameters to states.
         train: states, hyperparameters and a number of cycles to states. Takes the states over:
             their buffers are reused.
@@ -89,18 +94,31 @@ class Programs(NamedTuple):
     """
 
     trainer: Trainer
+    mesh: Mesh
+    spread: Callable[[Any], Any]
     start: Callable[[Hyperparameters], TrainingState]
     train: Callable[[TrainingState, Hyperparameters, int], TrainingState]
     evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
 
 
-def make_programs(trainer: Trainer) -> Programs:
-    """Jit and vmap a trainer over a leading axis of runs. Nothing compiles yet."""
+def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> Programs:
+    """Jit a trainer and vmap it over a leading axis of runs. Nothing compiles yet.
+
+    Args:
+        trainer: of each run.
+        devices: that share the runs; by default the first one alone.
+    """
+    mesh = mesh_of(devices or jax.devices()[:1])
+    train = on_mesh(mesh, jax.vmap(trainer.train, in_axes=(0, 0, None)), SPREAD, SPREAD, ON_EACH)
     return Programs(
         trainer=trainer,
-        start=jax.jit(jax.vmap(trainer.init)),
-        train=jax.jit(jax.vmap(trainer.train, in_axes=(0, 0, None)), donate_argnums=0),
-        evaluate=jax.jit(jax.vmap(trainer.evaluate), donate_argnums=0),
+        mesh=mesh,
+        spread=partial(spread, mesh),
+        start=jax.jit(on_mesh(mesh, jax.vmap(trainer.init), SPREAD)),
+        train=jax.jit(train, donate_argnums=0),
+        evaluate=jax.jit(
+            on_mesh(mesh, jax.vmap(trainer.evaluate), SPREAD, SPREAD), donate_argnums=0
+        ),
     )
 
 

@@ -69,7 +69,7 @@ def trainers() -> Callable[..., Any]:
 def programs() -> Callable[..., Any]:
     made: dict[int, Any] = {}
     make = runner.make_programs
-    return lambda trainer: made.setdefault(id(trainer), make(trainer))
+    return lambda trainer, _: made.setdefault(id(trainer), make(trainer))
 
 
 def train(out: Path, *options: str) -> int:
