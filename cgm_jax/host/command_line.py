@@ -113,8 +113,8 @@ class TrainingOptions(SettingOptions):
     """Least time between checkpoints; has no effect on results."""
 
     devices: str = ALL
-    """Devices that share the runs: a number or all. A CPU has one for each core that it was given;
-    has no effect on results."""
+    """Devices that share the runs: a number or all. A CPU has one for each core that it was given.
+    Network updates differ in the last bits between one device and several."""
 
     def resumes(self, chosen: Grid) -> bool:
         """Whether to resume a directory, whose settings are then already chosen.

@@ -60,7 +60,7 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
         out = out or _new_directory(preset)
         try:
             with RunDirectory.claimed(out, fresh=recorded is None) as directory:
-                device = jax.devices()[0].device_kind
+                device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                 if recorded is None:
                     directory.write_config([job.group for job in jobs], preset, device)
                 else:
