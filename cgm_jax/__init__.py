@@ -1,7 +1,7 @@
 """Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
 
-Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.evaluate`,
-`.benchmark`. Behind them, in rooms:
+Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.launch` (a
+sweep in parts) and `.merge`, `.evaluate`, `.report`, `.benchmark`. Behind them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
@@ -13,7 +13,9 @@ Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of on
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
     machine/     what the process was given: cores, memory
-    results/     what is made of runs: figures, measured policies, videos
+    launching/   many processes for one sweep: this machine, SLURM, Ray
+    results/     what is made of runs: figures, a page, merged parts, measured policies, videos,
+                 trackers
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 
@@ -39,6 +41,8 @@ may change with any version:
     from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
     from cgm_jax.replay.protocol import Relabelling, Transitions
     from cgm_jax.replay.ring import Episodes, Replay
+    from cgm_jax.report import main
+    from cgm_jax.results.trackers.protocol import Tracker
     from cgm_jax.storage.policies import act, load_policy
     from cgm_jax.storage.run_directory import RunDirectory
     from cgm_jax.sweep import main

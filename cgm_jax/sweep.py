@@ -2,15 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
-from cgm_jax.config.grid import build_groups
-from cgm_jax.host.command_line import (
-    TrainingOptions,
-    chosen_values,
-    parse,
-    run_program,
-    seed_values,
-)
+from cgm_jax.host.asked import asked_for, part_of
+from cgm_jax.host.command_line import TrainingOptions, parse, run_program
 from cgm_jax.host.session import train_groups
 
 
@@ -18,21 +13,28 @@ from cgm_jax.host.session import train_groups
 class SweepOptions(TrainingOptions):
     """Train every combination of the given values, side by side in one process.
 
-    An option takes one or more values; several make a grid axis. Options that are not given
-    keep the preset's values. The same command again resumes where it was stopped.
+    A setting takes one or more values; several make a grid axis. Settings that are not given have
+    the preset's value, which is shown below (of another: --preset NAME --help), or else their
+    default. Where it says "splits programs", each value is a program of its own, compiled and
+    trained one after another; values of the others train side by side in one program. The same
+    command again resumes where it was stopped.
     """
+
+    default_preset: ClassVar[str] = "quick"
+    sweeps: ClassVar[bool] = True
 
     seeds: int | None = None
     """How many seeds: short for --seed 0 1 2 ..."""
+
+    shard: str | None = None
+    """I/N: train only the I-th of N parts of the sweep; cgm_jax.merge puts them together."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SweepOptions, arguments, "python -m cgm_jax.sweep")
-    preset = options.preset or "quick"
-    chosen = seed_values(options, chosen_values(options))
-    groups = None if options.resumes(chosen) else build_groups(preset, chosen)
-    return train_groups(options, preset, groups)
+    asked = asked_for(options)
+    return train_groups(options, asked if options.shard is None else part_of(asked, options.shard))
 
 
 if __name__ == "__main__":

@@ -100,6 +100,10 @@ class DDPG(Agent[DDPGState]):
         """
         return state.target_actor if self.evaluate_target else state.actor
 
+    def with_actor(self, state: DDPGState, actor: Parameters) -> DDPGState:
+        """The state with this actor, which its target is as well."""
+        return state.replace(actor=actor, target_actor=actor)
+
     def critic_loss(
         self, critic: tuple[Parameters, ...], state: DDPGState, batch: Minibatch
     ) -> tuple[jax.Array, Info]:

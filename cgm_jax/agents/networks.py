@@ -113,6 +113,23 @@ def mean_actor(parameters: Parameters) -> Parameters:
     return {"params": layers}
 
 
+def with_mean(gaussian: Parameters, actor: Parameters) -> Parameters:
+    """The Gaussian actor whose mean is an `Actor`'s, as `mean_actor` would give it back.
+
+    Args:
+        gaussian: has the last layer's weights for standard deviations, which stay.
+        actor: has all others.
+    """
+    layers = dict(actor["params"])
+    last = f"layer_{len(layers) - 1}"
+    own = gaussian["params"][last]
+    layers[last] = {
+        name: jnp.concatenate([mean, own[name][..., mean.shape[-1] :]], axis=-1)
+        for name, mean in layers[last].items()
+    }
+    return {"params": layers}
+
+
 def apply_critic(
     parameters: Parameters,
     inputs: Float[Array, "*batch inputs"],

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import jax
 from flax import struct
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.sizes import Sizes
 
 State = TypeVar("State")
@@ -89,6 +90,15 @@ class Agent(Protocol[State]):
         {"params": {"layer_0": {"kernel": [in, out], "bias": [out]}, ...}}.
         """
         ...
+
+    def with_actor(self, state: State, actor: Parameters) -> State:
+        """The state with another policy, `actor`'s inverse: what `--from policy.npz` needs.
+
+        Raises:
+            SettingError: the agent does not offer it.
+        """
+        del state, actor
+        raise SettingError("from: the agent does not take a policy over; name a run directory")
 
     def idle(self) -> frozenset[str]:
         """Names of settings that have no effect, given the others; for concrete values only."""

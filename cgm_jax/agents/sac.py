@@ -40,6 +40,7 @@ from cgm_jax.agents.networks import (
     initial_critic,
     initial_gaussian_actor,
     mean_actor,
+    with_mean,
 )
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, shared, traced
@@ -122,6 +123,10 @@ class SAC(Agent[SACState]):
     def actor(self, state: SACState) -> Parameters:
         """The actor without its noise, tanh(mean)."""
         return mean_actor(state.actor)
+
+    def with_actor(self, state: SACState, actor: Parameters) -> SACState:
+        """The state with an actor of these means; its standard deviations stay."""
+        return state.replace(actor=with_mean(state.actor, actor))
 
     def critic_loss(
         self, critic: tuple[Parameters, ...], state: SACState, batch: NoisyMinibatch

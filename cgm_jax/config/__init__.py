@@ -5,5 +5,7 @@ settings.py    the loop's own settings; sizes.py what components may know of the
 components.py  curricula, agents and ways to relabel by name
 named.py       from the user's own files; user_code.py runs them, allowed.py which ones may run
 presets.py     smoke, quick, cpu, paper
+spelling.py    values as words, as options have them, and back
+run_names.py   what tells runs apart
 grid.py        from lists of values to runs, and from runs to groups that train side by side
 """

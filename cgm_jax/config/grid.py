@@ -8,23 +8,20 @@ program of its own, and they run one after another.
 import dataclasses
 import itertools
 import math
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 
-from cgm_jax.config.components import ROOMS, component
+from cgm_jax.config.components import NAMES, ROOMS, component, owners
 from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
-from cgm_jax.config.named import absolute, label
+from cgm_jax.config.named import absolute
 from cgm_jax.config.presets import Grid, preset_grid
+from cgm_jax.config.run_names import run_name
 from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
 
 MAX_RUNS = 100_000
-
-MAX_NAME = 200
-"""Bytes of a run's name; files may have 255, of which their endings take some."""
 
 DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
 STATIC = [item.name for item in dataclasses.fields(Settings)]
@@ -74,23 +71,58 @@ def build_groups(preset: str, options: Grid, *, single: bool = False) -> list[Gr
             chosen component has, or runs that would share a name.
     """
     runs: list[tuple[Settings, Run]] = []
-    used: dict[str, Any] = {}
     most = 1 if single else None
     ours = {name: values[:most] for name, values in preset_grid(preset).items()}
     for env in _axis({**ours, **options}, LOOP_FIELDS["env"]):
         ours = {name: values[:most] for name, values in preset_grid(preset, env).items()}
         grid = {**ours, **options, "env": [env]}
-        for values in _combinations(grid):
-            used |= values
-            runs.append(_settings_and_run(values, _swept(grid, values)))
-    for name in options:
-        if name not in used:
-            chosen = ", ".join(f"{kind} {used[kind]}" for kind in ROOMS)
-            raise SettingError(f"{name}: is no setting of {chosen}")
-    names = [run.name for _, run in runs]
-    if len(set(names)) < len(names):
-        raise SettingError("env: two environments would give their runs the same names")
+        runs += [_settings_and_run(values, _swept(grid, values)) for values in _combinations(grid)]
+    _check_used(options, [run.values for _, run in runs])
     return _grouped(runs)
+
+
+def groups_again(runs: Mapping[str, Values], options: Grid) -> list[Group]:
+    """Runs of an earlier sweep again, with other values for some of their settings.
+
+    Args:
+        runs: all values of each run, by its name.
+        options: lists of values that replace those of every run. Without any, the groups are as
+            they were before a lack of memory split them.
+
+    Raises:
+        SettingError: as `build_groups`.
+    """
+    if not options:
+        return _grouped([run_of(name, values) for name, values in runs.items()])
+    varied: dict[Hashable, Values] = {}
+    for own in runs.values():
+        own = {name: [value] for name, value in own.items()}
+        for values in _combinations({**own, **options}):
+            varied.setdefault(_what_counts(values), values)
+    found = list(varied.values())
+    _check_used(options, found)
+    named = {name for name in NAMES if len({values[name] for values in found}) > 1}
+    alike = {key: _differing(own) for key, own in _by_components(found).items()}
+    return _grouped(
+        [
+            _settings_and_run(values, [n for n in values if n in alike[key] or n in named])
+            for key, own in _by_components(found).items()
+            for values in own
+        ]
+    )
+
+
+def _by_components(runs: Sequence[Values]) -> dict[Hashable, list[Values]]:
+    """Runs by their environment and components: those of a list have the same settings."""
+    alike: dict[Hashable, list[Values]] = {}
+    for values in runs:
+        alike.setdefault(tuple(values[name] for name in NAMES), []).append(values)
+    return alike
+
+
+def _differing(runs: Sequence[Values]) -> set[str]:
+    """Settings in which runs of the same components differ."""
+    return {name for name in runs[0] if len({repr(values[name]) for values in runs}) > 1}
 
 
 def hyperparameters(**values: Any) -> Hyperparameters:
@@ -126,7 +158,7 @@ def values_of(settings: Settings, hyper: Hyperparameters, components: Mapping[st
     """
     values = {name: getattr(settings, name) for name in STATIC}
     values |= {name: getattr(hyper, name) for name in TRACED}
-    for kind, part in zip(DEFAULTS, _components(hyper), strict=True):
+    for kind, part in zip(DEFAULTS, parts(hyper), strict=True):
         values[kind] = components[kind]
         values |= {item.name: getattr(part, item.name) for item in declared(part)}
     return values
@@ -172,11 +204,34 @@ def swept_settings(groups: Sequence[Group]) -> list[str]:
 
 
 def _grouped(runs: Sequence[tuple[Settings, Run]]) -> list[Group]:
-    """Runs by program, in order of first appearance."""
+    """Runs by program, in order of first appearance.
+
+    Raises:
+        SettingError: two of them have the same name.
+    """
+    names = [run.name for _, run in runs]
+    if len(set(names)) < len(names):
+        raise SettingError("env: two environments would give their runs the same names")
     groups: dict[Any, list[Run]] = {}
     for settings, run in runs:
         groups.setdefault(structure(settings, run.hyper), []).append(run)
     return [Group(settings, tuple(same)) for (settings, _), same in groups.items()]
+
+
+def _check_used(options: Grid, runs: Sequence[Values]) -> None:
+    """Check that every option is a setting of at least one run.
+
+    Raises:
+        SettingError: one is not; the message says what was chosen, and what has such a setting.
+    """
+    used = {name for values in runs for name in values}
+    for name in options:
+        if name not in used:
+            chosen = {kind: dict.fromkeys(values[kind] for values in runs) for kind in ROOMS}
+            text = ", ".join(f"{kind} {' or '.join(names)}" for kind, names in chosen.items())
+            having = " or ".join(f"{kind} {owner}" for kind, owner in owners().get(name, []))
+            hint = f"; it is one of {having}" if having else ""
+            raise SettingError(f"{name}: is no setting of {text}{hint}")
 
 
 def _combinations(grid: Grid) -> list[Values]:
@@ -196,12 +251,22 @@ def _combinations(grid: Grid) -> list[Values]:
         for combination in itertools.product(*axes.values()):
             values = {**dict(zip(axes, combination, strict=True)), **components}
             values["env"] = absolute(values["env"])
-            idle = _idle(values)
-            effective = {k: v for k, v in values.items() if k not in idle}
-            runs.setdefault(tuple(sorted((k, repr(v)) for k, v in effective.items())), values)
+            runs.setdefault(_what_counts(values), values)
     if len(runs) > MAX_RUNS:
         raise SettingError(f"curriculum: more than {MAX_RUNS:,} runs in one sweep")
     return list(runs.values())
+
+
+def _what_counts(values: Values) -> Hashable:
+    """What a run depends on: all values that have an effect."""
+    idle = _idle(values)
+    return tuple(sorted((name, repr(value)) for name, value in values.items() if name not in idle))
+
+
+def _idle(values: Values) -> frozenset[str]:
+    """Settings without effect on a run."""
+    hyper = hyperparameters(**{k: v for k, v in values.items() if k not in STATIC})
+    return frozenset().union(*(part.idle() for part in parts(hyper)))
 
 
 def _wanted(classes: Mapping[str, Any]) -> Values:
@@ -250,47 +315,9 @@ def _distinct(name: str, values: Sequence[Any]) -> Sequence[Any]:
 
 
 def _settings_and_run(values: Values, swept: Sequence[str]) -> tuple[Settings, Run]:
-    return run_of(_run_name(values, swept), values)
-
-
-def _components(hyper: Hyperparameters) -> list[Any]:
-    return list(parts(hyper))
-
-
-def _idle(values: Values) -> frozenset[str]:
-    """Settings without effect on a run."""
-    hyper = hyperparameters(**{k: v for k, v in values.items() if k not in STATIC})
-    return frozenset().union(*(part.idle() for part in _components(hyper)))
+    return run_of(run_name(values, swept, _idle(values)), values)
 
 
 def _swept(grid: Grid, values: Values) -> list[str]:
     """Settings of a run that take several values in its grid."""
     return [name for name in values if len(grid.get(name, ())) > 1]
-
-
-def _run_name(values: Values, swept: Sequence[str]) -> str:
-    """A file name that tells runs of a sweep apart: what has no effect stays out of it."""
-    agent = label(values["agent"])
-    parts = [label(values["env"]), f"{agent}-her" if values.get("her") else agent]
-    parts.append(label(values["curriculum"]))
-    told = {"seed", "her", "env", *ROOMS}
-    if values["curriculum"] == "cgm":
-        parts[-1] += f"-cg{_text(values['c_g'])}-kappa{_text(values['kappa'])}"
-        told |= {"c_g", "kappa"}
-    if "relabelling" in swept:
-        parts.append(label(values["relabelling"]))
-    idle = _idle(values)
-    told |= idle
-    parts += [f"{n.replace('_', '')}{_text(values[n])}" for n in swept if n not in told]
-    name = "_".join([*parts, f"seed{values['seed']}"])
-    if len(os.fsencode(name)) > MAX_NAME:
-        raise SettingError(f"env: a run's file would have too long a name, {name[:60]}...")
-    return name
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    if isinstance(value, tuple):
-        return "x".join(str(width) for width in value)
-    return f"{value:.12g}" if isinstance(value, float) else str(value)

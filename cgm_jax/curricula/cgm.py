@@ -86,7 +86,7 @@ class CGM(Curriculum[CGMState]):
                 dimensions for one; or too many to draw a difficulty first.
         """
         if not self.factorised:
-            check_tabulated("factorised", sizes.goal)
+            check_tabulated("factorised", "curriculum cgm without it", sizes.goal)
         if self.mask_levels and sizes.goal > MAX_GOAL_SIZE:
             raise SettingError(
                 f"mask_levels: goals of {sizes.goal} dimensions have more than {MAX_GOAL_SIZE}"
@@ -94,7 +94,9 @@ class CGM(Curriculum[CGMState]):
         subgoals = empty_history(self.success_history, sizes.goal)
         if not self.masked_evaluation_episodes:
             return CGMState(subgoals)
-        check_tabulated("masked_evaluation_episodes", sizes.goal)
+        check_tabulated(
+            "masked_evaluation_episodes", "measuring masks in curriculum cgm", sizes.goal
+        )
         return CGMState(subgoals, empty_history(self.success_history, 2**sizes.goal))
 
     def sample(self, state: CGMState, key: jax.Array, drawn: Goals, view: View) -> Goals:

@@ -47,7 +47,7 @@ class Learnability(Curriculum[SuccessHistory]):
         Raises:
             SettingError: too many goal dimensions for a table of all masks.
         """
-        check_tabulated("curriculum", sizes.goal)
+        check_tabulated("curriculum", "learnability", sizes.goal)
         return empty_history(self.success_history, sizes.goal)
 
     def sample(self, state: SuccessHistory, key: jax.Array, drawn: Goals, view: View) -> Goals:

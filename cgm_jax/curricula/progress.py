@@ -44,7 +44,7 @@ class Progress(Curriculum[Windows]):
         Raises:
             SettingError: too many goal dimensions for a table of all masks.
         """
-        check_tabulated("curriculum", sizes.goal)
+        check_tabulated("curriculum", "progress", sizes.goal)
         return empty_windows(2**sizes.goal, self.progress_window)
 
     def sample(self, state: Windows, key: jax.Array, drawn: Goals, view: View) -> Goals:

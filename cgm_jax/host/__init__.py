@@ -1,7 +1,11 @@
 """The process around training: signals, memory, progress.
 
-    command_line.py     options to settings; exit_codes.py what a program ends with
-    session.py          from groups of runs to an exit code
+    command_line.py     what sweep and train are asked for; exit_codes.py what a program ends with
+    setting_options.py  an option per setting, and what --help says of it
+    asked.py            what is to be trained: options, over a settings_file.py, over a preset
+    session.py          from groups of runs to an exit code; dry_run.py what it would be
+    differences.py      why what is asked for is not what a directory holds
+    extension.py        more epochs; warm_start.py what another run has learned
     runner.py           the loop over chunks of training; pace.py how long a chunk may be
     recorder.py         what is written after an epoch; progress.py what is shown
     startup.py          JAX's own settings, before it starts

@@ -147,7 +147,7 @@ def _named_arrays(training: TrainingProgress) -> Iterator[tuple[str, np.ndarray]
     yield "wall_s", np.array(training.wall_s)
     yield "rows", np.frombuffer(to_lines(training.rows).encode(), np.uint8)
     filled = _filled(training.state)
-    for name, leaf in _named_leaves(training.state):
+    for name, leaf in named_leaves(training.state):
         array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)[: training.runs]
         yield name, array[:, :filled] if name.startswith(RING) else array
 
@@ -164,7 +164,7 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
         stored = read_shapes(path)
     except ValueError as error:
         raise SettingError(f"resume: {error}") from None
-    expected = {name: _stored_like(leaf) for name, leaf in _named_leaves(like)}
+    expected = {name: stored_like(leaf) for name, leaf in named_leaves(like)}
     others = {"position": ((2,), np.int64), "wall_s": ((), np.float64), "rows": (None, np.uint8)}
     if set(stored) != {*expected, *others}:
         raise _foreign(path)
@@ -183,8 +183,10 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
         if min(epoch, cycle) < 0:
             raise _foreign(path)
         leaves, structure = jax.tree.flatten(like)
-        names = [name for name, _ in _named_leaves(like)]
-        restored = [_restore(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)]
+        names = [name for name, _ in named_leaves(like)]
+        restored = [
+            restore_leaf(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)
+        ]
         state = jax.tree.unflatten(structure, restored)
         runs = len(jax.tree.leaves(like)[0])
         return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs)
@@ -205,18 +207,20 @@ def _foreign(path: Path) -> SettingError:
     )
 
 
-def _named_leaves(state: TrainingState) -> list[tuple[str, jax.Array]]:
+def named_leaves(state: TrainingState) -> list[tuple[str, jax.Array]]:
+    """Leaves of a training state, by the names that they have in checkpoints."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(state)
     return [(jax.tree_util.keystr(path), leaf) for path, leaf in leaves]
 
 
-def _stored_like(leaf: jax.Array) -> tuple[tuple[int, ...], Any]:
+def stored_like(leaf: jax.Array) -> tuple[tuple[int, ...], Any]:
     """Shape and type that a leaf has in a file; PRNG keys are stored as their words."""
     stored = jax.eval_shape(jax.random.key_data, leaf) if _is_key(leaf) else leaf
     return stored.shape, stored.dtype
 
 
-def _restore(array: np.ndarray, like: jax.Array) -> jax.Array:
+def restore_leaf(array: np.ndarray, like: jax.Array) -> jax.Array:
+    """A leaf from what is stored of it."""
     if _is_key(like):
         return jax.random.wrap_key_data(jnp.asarray(array))
     if array.shape != like.shape:  # the ring, without its empty slots

@@ -5,7 +5,6 @@ code 2: a bad value before a device is touched, a bad environment or directory b
 compiles.
 """
 
-import ast
 import contextlib
 import dataclasses
 import io
@@ -13,20 +12,28 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, TypeVar
+from typing import Annotated, Any, ClassVar, NoReturn, TypeVar
 
 import tyro
 
-from cgm_jax.config.components import NAMES, ROOMS, builtin, builtin_fields
+from cgm_jax.config.components import NAMES, TRACK, builtin, builtin_fields, own_fields
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.settings import LOOP_FIELDS
+from cgm_jax.config.spelling import value_of
 from cgm_jax.host.devices import ALL, parse_devices
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.setting_options import (
+    SettingOptions,
+    asks_for_help,
+    given_settings,
+    in_groups,
+    show_preset,
+)
 from cgm_jax.host.streams import make_streams_harmless
 from cgm_jax.storage.lock import InUseError
 
@@ -37,77 +44,61 @@ MAX_MESSAGE = 2000
 _OWNS_PROCESS = ContextVar("owns_process", default=False)
 
 Options = TypeVar("Options")
-Switch = Literal["on", "off"]
-SWITCH = {"on": True, "off": False}
-
-
-def _option_type(item: "dataclasses.Field[Any]") -> Any:
-    if isinstance(item.default, bool):
-        return tuple[Switch, ...] | None
-    if item.name == "hidden_layers":
-        return tuple[str, ...] | None
-    kind = float if item.default is None else type(item.default)
-    return tuple[kind, ...] | None
-
-
-def _setting_options() -> list[tuple[str, Any, Any]]:
-    """One option per setting, absent by default: then the preset decides."""
-    choices = [
-        (kind, Annotated[tuple[str, ...] | None, _choice_appearance(kind)], None) for kind in ROOMS
-    ]
-    items = (LOOP_FIELDS | builtin_fields()).values()
-    options = [
-        (item.name, Annotated[_option_type(item), _appearance(item)], None) for item in items
-    ]
-    return [*choices, *options]
-
-
-def _choice_appearance(kind: str) -> Any:
-    names = ", ".join(sorted(builtin(kind)))
-    return tyro.conf.arg(
-        help=f"{kind}: {names}, or FILE.py:NAME of your own",
-        metavar="NAME [NAME ...]",
-        help_behavior_hint="",
-    )
-
-
-def _appearance(item: "dataclasses.Field[Any]") -> Any:
-    """How an option looks in --help: not as the optional list that it is internally."""
-    kind = "on|off" if isinstance(item.default, bool) else type(item.default).__name__.upper()
-    if item.default is None:
-        kind = "FLOAT"
-    if item.name == "hidden_layers":
-        kind = "INT"
-    default = "all settings default to the preset's" if item.name == "env" else ""
-    return tyro.conf.arg(
-        help=item.metadata["help"],
-        metavar=f"{kind} [{kind} ...]",
-        help_behavior_hint=f"({default})" if default else "",
-    )
-
-
-SettingOptions = dataclasses.make_dataclass("SettingOptions", _setting_options(), kw_only=True)
-"""Base of the programs' options: all settings, as lists."""
 
 
 @dataclasses.dataclass(kw_only=True)
 class TrainingOptions(SettingOptions):
-    """What sweep and train have in common besides the settings."""
+    """What sweep and train have in common besides the settings.
+
+    Attributes:
+        default_preset: where none is given.
+        sweeps: whether a setting takes several values.
+    """
+
+    default_preset: ClassVar[str]
+    sweeps: ClassVar[bool]
 
     preset: Annotated[
         str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}", help_behavior_hint="")
     ] = ""
     """Values to start from (default: quick for a sweep, cpu for one run)."""
 
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Directory for the results (default: runs/PRESET-TIME)."""
 
-    resume: Path | None = None
-    """Directory of a sweep that was stopped: resume it. Takes no settings; but files of your
-    own that have moved or were edited are named again, with --env and the like."""
+    resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Directory of a sweep that was stopped, or is to be trained for more --epochs: resume it. Its
+    settings stay; but files of your own that have moved or were edited are named again, with --env
+    and the like."""
 
-    set: tuple[str, ...] = ()
-    """Settings of a curriculum or agent of your own: NAME=VALUE, several values with commas."""
+    start: Annotated[
+        Path | None, tyro.conf.arg(name="from", metavar="DIR|FILE.npz", help_behavior_hint="")
+    ] = None
+    """Start from what another run has learned: a run directory (agent and normaliser as they were
+    at its last checkpoint) or a policy file (actor and normaliser). Shapes must agree."""
+
+    from_run: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Which run of --from DIR, if it has several."""
+
+    dry_run: bool = False
+    """Only say what would be trained, in which programs, and what it takes of memory and time, for
+    which each program is compiled and run for some seconds. Makes no directory."""
+
+    config: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE.toml|DIR", help_behavior_hint="")
+    ] = None
+    """Settings from a file: a settings.toml, or the config.json of a run directory, which trains it
+    again. What is given here comes before the file."""
+
+    set: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="NAME=VALUE[,VALUE] ...", help_behavior_hint=""),
+    ] = ()
+    """Settings of a curriculum, agent or relabelling of your own; several numbers as 64x64."""
+
+    csv: bool = False
+    """Write metrics.csv, the rows of metrics.jsonl as a table, at the end, and whenever the
+    directory is resumed; of a finished one with --resume DIR --csv."""
 
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
@@ -116,7 +107,17 @@ class TrainingOptions(SettingOptions):
     """Devices that share the runs: a number or all. A CPU has one for each core that it was given.
     Network updates differ in the last bits between one device and several."""
 
-    def resumes(self, chosen: Grid) -> bool:
+    track: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help=f"Show settings, metrics, figures and a video of the best policy in "
+            f"{', '.join(sorted(builtin(TRACK)))}, or FILE.py:NAME of your own, too.",
+            metavar="NAME",
+            help_behavior_hint="",
+        ),
+    ] = None
+
+    def resumes(self) -> bool:
         """Whether to resume a directory, whose settings are then already chosen.
 
         Raises:
@@ -128,17 +129,18 @@ class TrainingOptions(SettingOptions):
                 f"checkpoint_seconds: {seconds} is not a finite number of at least 0"
             )
         parse_devices(self.devices)
-        for name in ("out", "resume"):
+        for name in ("out", "resume", "config", "start"):
             if getattr(self, name) == Path():
-                raise SettingError(f"{name}: is empty")
+                raise SettingError(f"{name.replace('start', 'from')}: is empty")
+        if self.from_run is not None and self.start is None:
+            raise SettingError("from_run: goes with --from DIR")
         if self.preset and self.preset not in PRESETS:
             choices = ", ".join(PRESETS)
             raise SettingError(f"preset: unknown preset {self.preset!r}; choose from {choices}")
         if self.resume is None:
             return False
-        # Own code may be named again: it has moved, or was edited.
-        settings = [name for name in chosen if name not in NAMES]
-        others = [*settings, *(name for name in ("preset", "out") if getattr(self, name))]
+        names = {"preset": "preset", "out": "out", "config": "config", "start": "from"}
+        others = [shown for name, shown in names.items() if getattr(self, name)]
         if others:
             raise SettingError(
                 f"resume: a sweep resumes as it was begun, without {', '.join(others)}"
@@ -154,62 +156,38 @@ def name_own_code(grid: Grid) -> None:
                 name_now(text)
 
 
-def chosen_values(options: Any) -> Grid:
-    """The lists that the user gave, by setting; own code in them may run from now on."""
-    grid: Grid = {}
-    fields = LOOP_FIELDS | builtin_fields()
-    switches = {name for name, item in fields.items() if isinstance(item.default, bool)}
-    for item in dataclasses.fields(SettingOptions):
-        values = getattr(options, item.name)
-        if values is None:
-            continue
-        if item.name == "hidden_layers":
-            grid[item.name] = _layers(values)
-        elif item.name in switches:
-            grid[item.name] = [SWITCH[value] for value in values]
-        else:
-            grid[item.name] = list(values)
+def chosen_values(options: Any, components: Mapping[str, Sequence[str]] | None = None) -> Grid:
+    """The lists that the user gave, by setting; own code in them may run from now on.
+
+    Args:
+        options: of sweep or train.
+        components: what a file chooses where options do not, by kind.
+    """
+    grid = given_settings(options)
     name_own_code(grid)
-    return grid | dict(_own_setting(text) for text in options.set)
+    return {**grid, **_set_values(options.set, {**(components or {}), **grid})}
 
 
-def _layers(words: Sequence[str]) -> list[tuple[int, ...]]:
-    """Widths of hidden layers: 256 256 is one value, 64x64 128x128 are two.
+def _set_values(texts: Sequence[str], chosen: Mapping[str, Sequence[str]]) -> Grid:
+    """Values that `--set NAME=VALUE,VALUE` gives, read as the setting has them.
 
-    Raises:
-        SettingError: a width is no whole number.
-    """
-    try:
-        values = [tuple(int(width) for width in word.split("x")) for word in words]
-    except ValueError:
-        shown = " ".join(words)
-        raise SettingError(
-            f"hidden_layers: {shown!r} is neither widths (256 256) nor several (64x64 128x128)"
-        ) from None
-    if any("x" in word for word in words):
-        return values
-    return [tuple(width for value in values for width in value)]
-
-
-def _own_setting(text: str) -> tuple[str, list[Any]]:
-    """NAME=VALUE,VALUE as a name and values.
+    Args:
+        texts: what was given.
+        chosen: components by kind, whose settings these may be.
 
     Raises:
-        SettingError: it is not of that form.
+        SettingError: a text is not of that form, or a value not of the setting's type.
     """
-    name, equals, values = text.partition("=")
-    if not equals or not name.isidentifier():
-        raise SettingError(f"set: {text!r} is not NAME=VALUE")
-    return name, [_plain_value(value) for value in values.split(",")]
-
-
-def _plain_value(text: str) -> Any:
-    if text in SWITCH:
-        return SWITCH[text]
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError, RecursionError, MemoryError):  # too deep
-        return text
+    fields = LOOP_FIELDS | builtin_fields() | own_fields(chosen)
+    values: Grid = {}
+    for text in texts:
+        name, equals, words = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise SettingError(f"set: {text!r} is not NAME=VALUE")
+        # What nothing has is refused together with options that nothing has.
+        item = fields.get(name)
+        values[name] = [value_of(item, word) if item else word for word in words.split(",")]
+    return values
 
 
 def seed_values(options: Any, grid: Grid) -> Grid:
@@ -218,7 +196,7 @@ def seed_values(options: Any, grid: Grid) -> Grid:
     Raises:
         SettingError: N is below 1, or `--seed` is given as well.
     """
-    if options.seeds is None:
+    if getattr(options, "seeds", None) is None:
         return grid
     if "seed" in grid:
         raise SettingError("seeds: give either --seeds (how many) or --seed (which), not both")
@@ -229,6 +207,10 @@ def seed_values(options: Any, grid: Grid) -> Grid:
 
 def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) -> Options:
     """Parse arguments; on bad ones end with one line and exit code 2."""
+    words = sys.argv[1:] if arguments is None else arguments
+    if issubclass(kind, TrainingOptions) and asks_for_help(words):
+        show_preset(words, kind.default_preset, single=not kind.sweeps)
+        kind = in_groups(kind)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

@@ -41,8 +41,8 @@ class SweepProgress:
     On a terminal it is redrawn in place; elsewhere there is one line per epoch.
     """
 
-    def __init__(self, cycles: int) -> None:
-        """Expect `cycles` cycles, summed over the groups of the sweep."""
+    def __init__(self, cycles: int | None = None) -> None:
+        """Expect `cycles` cycles, summed over the groups of the sweep; None if not known yet."""
         self._console = SteadyConsole()
         self._redraws = self._console.can_redraw
         self._bar = Progress(
@@ -56,7 +56,7 @@ class SweepProgress:
             console=self._console,
         )
         self._task = self._bar.add_task("compiling", total=cycles, speed="")
-        self._live = Live(console=self._console, refresh_per_second=2)
+        self._live = Live(self._bar, console=self._console, refresh_per_second=2)
         self._success: dict[str, float] = {}
         self._started = time.monotonic()
         self._steps = 0
@@ -73,9 +73,19 @@ class SweepProgress:
         trace: TracebackType | None,
     ) -> None:
         if self._redraws:
-            if self._bar.finished:  # a summary comes that lists all runs; once is enough
+            if self._bar.tasks[0].total is None:  # refused: nothing has been begun
+                self._live.update(Text())
+            elif self._bar.finished:  # a summary comes that lists all runs; once is enough
                 self._live.update(self._bar)
             self._live.__exit__(kind, error, trace)
+
+    def expect(self, cycles: int) -> None:
+        """So many cycles are to be done, summed over the groups of the sweep."""
+        self._bar.update(self._task, total=cycles)
+
+    def compiling(self) -> None:
+        """What comes next has to be compiled first, which takes longer than a chunk."""
+        self._bar.update(self._task, description="compiling", speed="")
 
     def skip(self, cycles: int) -> None:
         """So many cycles were done in an earlier process, or need not be done."""

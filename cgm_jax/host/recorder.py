@@ -14,6 +14,7 @@ from cgm_jax.host.checkpoint import TrainingProgress, save_checkpoint
 from cgm_jax.loop.divergence import describe_failure
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.state import TrainingState
+from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.metrics import Row, plain_row
 from cgm_jax.storage.policies import policy_arrays
 from cgm_jax.storage.run_directory import RunDirectory
@@ -30,6 +31,7 @@ class Recorder:
         rows: Sequence[Row],
         checkpoint_seconds: float,
         swept: Sequence[str],
+        tracking: Tracking,
     ) -> None:
         """Record a group of runs.
 
@@ -40,6 +42,7 @@ class Recorder:
             rows: what it has written so far.
             checkpoint_seconds: least time between two checkpoints.
             swept: names of the settings in which runs of the whole sweep differ.
+            tracking: is sent the rows, those written so far included.
         """
         self._directory = directory
         self._group = group
@@ -51,6 +54,8 @@ class Recorder:
         self._best = {run.name: 0.0 for run in group.runs}
         for row in rows:
             self._improves(row)
+        self._tracking = tracking
+        tracking.begin(group.runs, rows)
 
     def record_epoch(self, training: TrainingProgress, metrics: Metrics) -> list[Row]:
         """Add an epoch's rows, and keep the policies that are better than all before.
@@ -61,6 +66,7 @@ class Recorder:
         rows = _rows(self._group, self._facts, training, metrics)
         training.rows += rows
         self._directory.append_metrics(rows)
+        self._tracking.send(rows)
         policies = _policies(self._group, training.state)
         for run, row, policy in zip(self._group.runs, rows, policies, strict=True):
             if self._improves(row):

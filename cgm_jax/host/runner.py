@@ -19,15 +19,17 @@ from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs
 from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
+from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.loop.devices import Device, share
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
-from cgm_jax.results.statistics import HOLDING_EVALUATIONS, holds
+from cgm_jax.results.statistics import have_finished
+from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.metrics import Row
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.run_directory import CONFIG, RunDirectory, start_beside
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,7 @@ def run_jobs(
     progress: SweepProgress,
     interruption: Interruption,
     checkpoint_seconds: float,
+    tracking: Tracking,
 ) -> list[Row] | None:
     """Train all jobs one after another, each from its last checkpoint.
 
@@ -143,6 +146,7 @@ def run_jobs(
         progress: is told of every chunk and epoch.
         interruption: says when to stop.
         checkpoint_seconds: least time between two checkpoints of a job, other than its last.
+        tracking: is sent what is recorded.
 
     Returns:
         The last row of every run; None if a signal came, and what was done is in a checkpoint.
@@ -153,17 +157,21 @@ def run_jobs(
         SettingError: a checkpoint holds the state of another program.
     """
     rows, last = [], []
-    swept = swept_settings([job.group for job in jobs])
+    shard = directory.shard()
+    swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         training = _begin(job, index, directory)
         _keep_lost_metrics(training, index, directory, rows)
         directory.replace_metrics(rows + training.rows)
         settings = job.group.settings
         progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
-        recorder = Recorder(directory, job.group, index, training.rows, checkpoint_seconds, swept)
+        recorder = Recorder(
+            directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
+        )
         if not _train(job, training, recorder, progress, interruption):
             return None
         progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
+        tracking.end()
         rows += training.rows
         last += training.rows[-len(job.group.runs) :]
     return last
@@ -184,7 +192,11 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
         print(f"{note}; {where}", file=sys.stderr)
     with device_errors():
         if training is None:
-            state = job.programs.start(job.programs.spread(hyper))
+            spread_hyper = job.programs.spread(hyper)
+            state = job.programs.start(spread_hyper)
+            if (start := start_beside(directory.path / CONFIG)) is not None:
+                warm = start_from(read_source(start), job.programs, spread_hyper, state)
+                state = job.programs.spread(warm)
             training = TrainingProgress(state, runs=len(job.group.runs))
         else:
             training.state = job.programs.spread(training.state)
@@ -238,12 +250,17 @@ def _train(
     settings, programs = job.group.settings, job.programs
     hyper = programs.spread(job.group.hyper())
     began, pace = time.monotonic() - training.wall_s, Pace()
+    progress.compiling()
+    evaluates_first = True
     with watchdog() as something_happened:
         while not _is_finished(job.group, training):
             if training.cycle < settings.cycles_per_epoch:
                 _train_chunk(job, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
             else:
+                if evaluates_first:
+                    progress.compiling()
+                    evaluates_first = False
                 metrics = _close_epoch(programs, training, hyper)
                 training.wall_s = time.monotonic() - began
                 progress.epoch(training.epoch, recorder.record_epoch(training, metrics))
@@ -262,14 +279,9 @@ def _train(
 
 def _is_finished(group: Group, training: TrainingProgress) -> bool:
     """Whether all epochs are done, or all runs hold the success at which they may leave."""
-    settings = group.settings
-    if training.cycle > 0 or settings.leave_at is None:
-        return training.epoch >= settings.epochs
-    if not 0 < training.epoch < settings.epochs:
-        return training.epoch > 0
-    runs = len(group.runs)
-    rates = [row["success_rate"] for row in training.rows[-HOLDING_EVALUATIONS * runs :]]
-    return all(holds(rates[i::runs], settings.leave_at) for i in range(runs))
+    settings, rates = group.settings, [row["success_rate"] for row in training.rows]
+    leave_at = None if training.cycle else settings.leave_at
+    return have_finished(rates, len(group.runs), training.epoch, settings.epochs, leave_at)
 
 
 def _train_chunk(

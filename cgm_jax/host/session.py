@@ -4,33 +4,40 @@ import itertools
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, Run, structure
-from cgm_jax.config.settings import Settings
+from cgm_jax.config.grid import Group
+from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import check_devices, cpu_devices, parse_devices
+from cgm_jax.host.differences import check_same, check_unchanged
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.extension import extended
 from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.results.tracking import Tracking, find_tracker
+from cgm_jax.storage.metrics import Row
+from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_origin
 
 if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job
 
 
-def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] | None) -> int:
+def train_groups(options: TrainingOptions, asked: Asked) -> int:
     """Train groups of runs, from the beginning or from where they were stopped.
 
     Args:
         options: where to, and how often to write checkpoints.
-        preset: recorded in the directory.
-        groups: what to train; None for what `options.resume` holds.
+        asked: what to train.
 
     Returns:
         The exit code.
@@ -40,40 +47,73 @@ def train_groups(options: TrainingOptions, preset: str, groups: Sequence[Group] 
         InUseError: before anything compiles, if another process trains in the directory.
     """
     out = options.resume or options.out
-    with Interruption(ends_process=owns_process()) as interruption:
+    with Interruption(ends_process=owns_process()) as interruption, ExitStack() as shown:
+        progress = shown.enter_context(SweepProgress())
+        if options.track is not None:
+            find_tracker(options.track)
         moved = {}
-        if out is not None and (restored := RunDirectory(out).restore_config()) is not None:
+        restored = None if out is None or options.dry_run else RunDirectory(out).restore_config()
+        if restored is not None:
             print(restored, file=sys.stderr)
-        if groups is None and out is not None:
+        if asked.groups is None and out is not None:
             # What own code the user names goes with what the directory holds.
-            named = {kind: getattr(options, kind) or () for kind in NAMES}
+            named = {kind: asked.chosen.get(kind, ()) for kind in NAMES}
             moved = RunDirectory.open(out).moved(named)
-        recorded = None if out is None else _recorded_groups(out, groups, moved)
-        to_train, asked = recorded or groups or [], parse_devices(options.devices)
-        prepare_jax(cpu_devices(asked, to_train))
+        recorded = None if out is None else _recorded_groups(out, asked, moved)
+        to_train, devices = recorded or asked.groups or [], parse_devices(options.devices)
+        prepare_jax(cpu_devices(devices, to_train))
         import jax
 
+        from cgm_jax.host.dry_run import show_plan
         from cgm_jax.host.runner import plan_jobs
 
-        check_devices(asked)
-        jobs, notes = plan_jobs(to_train, jax.devices()[:asked], planned=recorded is not None)
-        out = out or _new_directory(preset)
+        check_devices(devices)
+        jobs, notes = plan_jobs(to_train, jax.devices()[:devices], planned=recorded is not None)
+        start = None if recorded else _start(asked, jobs)
+        if options.dry_run:
+            shown.close()
+            return show_plan(jobs, notes, RunDirectory(out) if recorded and out else None)
+        out = out or new_directory(asked.preset)
         try:
-            with RunDirectory.claimed(out, fresh=recorded is None) as directory:
+            with (
+                RunDirectory.claimed(out, fresh=recorded is None) as directory,
+                Tracking(options.track, out) as tracking,
+            ):
                 device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
                 if recorded is None:
-                    directory.write_config([job.group for job in jobs], preset, device)
+                    if start is not None:
+                        directory.write_start(start)
+                    groups = [job.group for job in jobs]
+                    directory.write_config(
+                        groups, asked.preset, device, origin=asked.origin, shard=asked.shard
+                    )
                 else:
                     notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
-                return _train(jobs, directory, interruption, options.checkpoint_seconds)
+                return _train(jobs, directory, interruption, options, shown, progress, tracking)
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            print(_how_to_resume(out), file=sys.stderr)
+            print(_how_to_resume(out, options.track), file=sys.stderr)
             return ExitCode.CANNOT_WRITE
 
 
-def _new_directory(preset: str) -> Path:
+def _start(asked: Asked, jobs: "Sequence[Job]") -> dict[str, np.ndarray] | None:
+    """What jobs start from, which fits all of them; None for from scratch.
+
+    Raises:
+        SettingError: there is nothing to start from, or it does not fit.
+    """
+    from cgm_jax.host.warm_start import check_start, read_source
+
+    if asked.start is None:
+        return None
+    start = read_source(asked.start, asked.start_run)
+    for job in jobs:
+        check_start(start, job.programs, job.group.hyper())
+    return start
+
+
+def new_directory(preset: str) -> Path:
     """Make a directory named for the time, which nobody else gets, however many start at once.
 
     Raises:
@@ -97,46 +137,50 @@ def _made(path: Path) -> bool:
     return True
 
 
-def _recorded_groups(
-    out: Path, groups: Sequence[Group] | None, moved: Mapping[str, str]
-) -> list[Group] | None:
-    """What the directory holds, as it was split; None if it is new.
+def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[Group] | None:
+    """What the directory holds, as it was split, for the epochs that are asked for.
 
     Args:
         out: the directory.
-        groups: what is asked for; None for what the directory holds.
+        asked: what is asked for.
         moved: environments that have been named again, see `RunDirectory.moved`.
+
+    Returns:
+        Its groups; None if it is new.
 
     Raises:
         SettingError: it holds something else than what is asked for.
     """
     directory = RunDirectory(out)
-    if groups is None:
-        return RunDirectory.open(out).groups(moved)
+    if asked.groups is None:
+        recorded = RunDirectory.open(out).groups(moved)
+        check_unchanged(out, recorded, asked.chosen)
+        return extended(directory, recorded, asked.chosen)
     if not directory.holds_sweep():
         return None
+    if (before := read_origin(directory.path / CONFIG)) != asked.origin:
+        now, then = asked.origin or "nothing", before or "nothing"
+        raise SettingError(f"from: {out} was begun from {then}, not from {now}")
     recorded = directory.groups()
-    if _merged(recorded) != _merged(groups):
-        raise SettingError(f"out: {out} already holds a sweep with other settings or runs")
+    if directory.shard() != asked.shard:
+        raise SettingError(f"out: {out} holds another part, or another sweep, than is asked for")
+    check_same(out, recorded, asked.groups)
     return recorded
-
-
-def _merged(groups: Sequence[Group]) -> list[Group]:
-    """Groups with parts of the same program put together again."""
-    merged: dict[tuple[Settings, Any], list[Run]] = {}
-    for group in groups:
-        program = structure(group.settings, group.runs[0].hyper)
-        merged.setdefault(program, []).extend(group.runs)
-    return [Group(settings, tuple(runs)) for (settings, _), runs in merged.items()]
 
 
 def _notes_on_resuming(
     directory: RunDirectory, device: str, groups: Sequence[Group], moved: Mapping[str, str]
 ) -> list[str]:
-    notes = ["resuming where it was stopped"]
-    if changed := directory.changes_since_begun(device, groups, moved):
+    notes, epochs = ["resuming where it was stopped"], None
+    changed = directory.changes_since_begun(device, groups, moved)
+    if changed:
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
-        directory.record_resumption(changed, moved)
+    before, now = (one[0].settings.epochs for one in (directory.groups(moved), groups))
+    if before != now:
+        epochs = now
+        notes.append(f"{now} epochs instead of {before}")
+        changed.append(f"epochs {before} (now {now})")
+    directory.record_resumption(changed, moved, epochs)
     return notes
 
 
@@ -144,38 +188,93 @@ def _train(
     jobs: "Sequence[Job]",
     directory: RunDirectory,
     interruption: Interruption,
-    checkpoint_seconds: float,
+    options: TrainingOptions,
+    shown: ExitStack,
+    progress: SweepProgress,
+    tracking: Tracking,
 ) -> int:
-    from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
+    """Train, and say and draw what came of it.
+
+    Args:
+        jobs: what to train.
+        directory: where to.
+        interruption: says when to stop.
+        options: how often to write checkpoints, and whether to write a table.
+        shown: what is on the terminal until training ends.
+        progress: part of that.
+        tracking: is told of rows, and of what came of them.
+    """
     from cgm_jax.host.runner import run_jobs
 
     started = time.monotonic()
-    cycles = sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
+    progress.expect(
+        sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
+    )
     try:
-        with SweepProgress(cycles) as progress:
-            rows = run_jobs(jobs, directory, progress, interruption, checkpoint_seconds)
+        with shown:
+            seconds = options.checkpoint_seconds
+            rows = run_jobs(jobs, directory, progress, interruption, seconds, tracking)
     except DeviceError as error:
         print(f"error: {error}", file=sys.stderr)
-        print(_how_to_resume(directory.path), file=sys.stderr)
+        print(_how_to_resume(directory.path, tracking.name), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:
-        print(f"stopped; {_how_to_resume(directory.path)}", file=sys.stderr)
+        print(f"stopped; {_how_to_resume(directory.path, tracking.name)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
-    _draw_figures(directory)
+    figures = _draw_figures(directory)
+    if options.csv or directory.has_csv():
+        directory.write_csv()
+    if rows is not None and tracking.name is not None:
+        _show_results(directory, rows, figures, tracking)
     return ExitCode.STOPPED if rows is None else _verdict(rows)
 
 
-def _draw_figures(directory: RunDirectory) -> None:
+def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Say what a finished sweep has come to, draw its figures, and return its exit code.
+
+    Args:
+        directory: of the sweep.
+        rows: all rows of its metrics.
+    """
+    from cgm_jax.host.progress import physics_lines, summary_lines
+
+    last = list({row["run"]: row for row in rows}.values())
+    print("\n".join(summary_lines(last) + physics_lines(rows)))
+    _draw_figures(directory)
+    print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
+    return _verdict(last)
+
+
+def _draw_figures(directory: RunDirectory) -> list[Path]:
     """Draw what can be drawn; training is done, and its outcome does not depend on it."""
     try:
         from cgm_jax.results.figures import draw_figures
 
-        draw_figures(directory)
+        return draw_figures(directory)
     except Exception as error:
         line = str(error).partition("\n")[0]
         print(f"no figures drawn: {type(error).__name__}: {line}", file=sys.stderr)
+        return []
+
+
+def _show_results(
+    directory: RunDirectory,
+    rows: Sequence[Row],
+    figures: Sequence[Path],
+    tracking: Tracking,
+) -> None:
+    """Send figures and a video of the best policy to the tracker, where it can be made."""
+    shown = {f"figures/{path.stem}": path for path in figures}
+    try:
+        from cgm_jax.results.best_policy import film_best_policy
+
+        shown["best_policy"] = film_best_policy(directory, rows)
+    except Exception as error:
+        line = str(error).partition("\n")[0]
+        print(f"no video of the best policy: {line}", file=sys.stderr)
+    tracking.show(shown, max(row["epoch"] for row in rows))
 
 
 def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
@@ -192,5 +291,6 @@ def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
     return ExitCode.DIVERGED if diverged or dropped else ExitCode.DONE
 
 
-def _how_to_resume(out: Path) -> str:
-    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out)}"
+def _how_to_resume(out: Path, tracker: str | None) -> str:
+    track = [] if tracker is None else ["--track", tracker]
+    return f"to resume: {shell_command('cgm_jax.sweep', '--resume', out, *track)}"

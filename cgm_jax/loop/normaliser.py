@@ -13,6 +13,8 @@ threshold is the yardstick of the floor (0.01 m on Fetch) and of what to divide 
 # Brax types the parts of its statistics as unknown.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportOperatorIssue=false
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 from brax.training.acme import running_statistics
@@ -84,6 +86,30 @@ def observe(
         observation=_update(normaliser.observation, episodes.observation, valid, *scales),
         goal=_update(normaliser.goal, goals, valid, *scales),
     )
+
+
+def with_statistics(
+    normaliser: Normaliser, statistics: Mapping[str, ArrayLike], rows: int
+) -> Normaliser:
+    """A normaliser with other statistics, as if they came from so many rows.
+
+    Args:
+        normaliser: before.
+        statistics: `observation_mean`, `observation_std` [observation_size], `goal_mean` and
+            `goal_std` [goal_size], as policy files have them.
+        rows: how much they count against what is observed from now on, below 2^32.
+    """
+
+    def taken(kind: str) -> RunningStatisticsState:
+        mean, std = (jnp.asarray(statistics[f"{kind}_{part}"]) for part in ("mean", "std"))
+        own = getattr(normaliser, kind)
+        count = own.count.replace(
+            hi=jnp.zeros_like(own.count.hi), lo=jnp.full_like(own.count.lo, rows)
+        )
+        squares = jnp.square(std) * rows
+        return own.replace(mean=mean, std=std, count=count, summed_variance=squares)
+
+    return normaliser.replace(observation=taken("observation"), goal=taken("goal"))
 
 
 def network_input(normaliser: Normaliser, observation: jax.Array, goal: jax.Array) -> jax.Array:

@@ -14,6 +14,9 @@ ROOT = Path("/")
 UNLIMITED = 2**63
 MEBIBYTE = 2**20
 
+MEMORY_VARIABLE = "CGM_JAX_MEMORY_MIB"
+"""Variable by which a launcher tells a process its share of the machine's memory."""
+
 
 def available_cores(root: Path = ROOT, environment: Mapping[str, str] = os.environ) -> int:
     """Cores that this process may keep busy: the least of all that limit it.
@@ -35,8 +38,9 @@ def available_cores(root: Path = ROOT, environment: Mapping[str, str] = os.envir
 def free_memory(root: Path = ROOT, environment: Mapping[str, str] = os.environ) -> int:
     """Bytes of host memory that this process may still take: the least of all that limit it.
 
-    Those limits are what the machine has free, its control groups, and what SLURM gave the job
-    (SLURM_MEM_PER_NODE or SLURM_MEM_PER_CPU, less what this process holds already).
+    Those limits are what the machine has free, its control groups, and what the job was given, less
+    what this process holds already: by SLURM (SLURM_MEM_PER_NODE or SLURM_MEM_PER_CPU), or by
+    cgm_jax.launch (CGM_JAX_MEMORY_MIB).
 
     Args:
         root: where /proc and /sys lie.
@@ -44,6 +48,7 @@ def free_memory(root: Path = ROOT, environment: Mapping[str, str] = os.environ) 
     """
     limits = [_free_on_host(root), *_read_each(root, "memory", _left_in_group)]
     given = _numbers(environment, "SLURM_MEM_PER_NODE")
+    given += _numbers(environment, MEMORY_VARIABLE)
     for per_core in _numbers(environment, "SLURM_MEM_PER_CPU"):
         cores = _numbers(environment, "SLURM_CPUS_ON_NODE") or [available_cores(root, environment)]
         given.append(per_core * cores[0])

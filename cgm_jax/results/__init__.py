@@ -1,7 +1,9 @@
 """What is made of runs.
 
 figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
+page/          sweeps as one HTML file, to be read in a browser
 policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for
-video.py       videos of their episodes
+video.py       videos of their episodes; best_policy.py one of a sweep's best policy
+tracking.py    what TensorBoard and others are sent; trackers/ each of them
 statistics.py  when a run holds a success
 """

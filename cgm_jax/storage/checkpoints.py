@@ -54,6 +54,23 @@ def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
     return sorted((path for path in paths if manifest_path(path).exists()), key=position)
 
 
+def position(directory: Path, group: int) -> tuple[int, int]:
+    """Epochs that a group has done, and cycles of the next one; (0, 0) without a checkpoint."""
+    paths = finished_checkpoints(directory, group)
+    return _position(paths[-1]) if paths else (0, 0)
+
+
+def epochs_begun(directory: Path) -> int:
+    """Epochs of the group that has come farthest, the one in progress included."""
+    positions = [_position(path) for path in finished_checkpoints(directory)]
+    return max([epoch + (cycle > 0) for epoch, cycle in positions], default=0)
+
+
+def _position(path: Path) -> tuple[int, int]:
+    epoch, cycle = re.findall(r"\d+", path.stem)[1:3]
+    return int(epoch), int(cycle)
+
+
 def format_of(path: Path) -> int:
     """The format of a checkpoint that this version reads.
 

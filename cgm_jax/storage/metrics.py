@@ -1,11 +1,15 @@
-"""Rows of metrics: dicts in memory, one line of JSON each in a file."""
+"""Rows of metrics: dicts in memory, one line of JSON each in a file, or one of a table."""
 
+import csv
+import io
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from cgm_jax.config.spelling import spelled
 
 Row = dict[str, Any]
 """What metrics.jsonl says of one run and epoch, in plain values as JSON has them."""
@@ -32,6 +36,44 @@ def from_lines(lines: Iterable[str]) -> list[Row]:
     if not all(isinstance(row, dict) for row in rows):
         raise ValueError("a line is no object")
     return rows
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """Rows as a table for spreadsheets, R and the like; what is null is an empty cell.
+
+    A list has a column per entry, such as `mask_probability_7`; one that is a swept setting (hidden
+    layers) is one word, such as 64x64. Lists of names (`swept`, `reported`) are one word as well.
+    """
+    tables = [dict(_cells(row)) for row in rows]
+    columns = list(dict.fromkeys(name for cells in tables for name in cells))
+    # What is a list in some rows and null in others has the columns of the list only.
+    columns = [name for name in columns if f"{name}_0" not in columns]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(tables)
+    return text.getvalue()
+
+
+def _cells(row: Row) -> Iterator[tuple[str, Any]]:
+    for name, value in row.items():
+        if not isinstance(value, list):
+            yield name, value
+        elif name in row.get("swept", ()):
+            yield name, spelled(value)
+        elif name in ("swept", "reported"):
+            yield name, " ".join(value)
+        else:
+            yield from _entries(name, value)
+
+
+def _entries(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The numbers in a list, or in lists of lists, under the names of their columns."""
+    if not isinstance(value, list):
+        yield name, value
+        return
+    for index, entry in enumerate(value):
+        yield from _entries(f"{name}_{index}", entry)
 
 
 def _plain(value: Any) -> Any:

@@ -1,9 +1,11 @@
 """What a sweep writes, and where.
 
 DIR/config.json           everything needed to run it again, versions included
-DIR/metrics.jsonl         one object per run and epoch
+DIR/metrics.jsonl         one object per run and epoch; metrics.csv the same as a table
+DIR/start.npz             what a sweep with --from starts from
 DIR/policies/<run>.npz    the deterministic actor; improvements/ has each that was the best so far
-DIR/figures/*.png
+DIR/figures/*.png         and best_policy.gif, where a tracker is to have it
+DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
 
@@ -18,7 +20,7 @@ import os
 import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,19 +29,27 @@ import numpy as np
 
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import MAX_NAME, Group, Run, run_of, structure
+from cgm_jax.config.grid import Group, Run, run_of, structure
 from cgm_jax.config.named import absolute, is_own, require_named
+from cgm_jax.config.run_names import MAX_NAME
+from cgm_jax.config.shards import Shard
 from cgm_jax.storage.arrays import write_arrays
-from cgm_jax.storage.checkpoints import restore_config
+from cgm_jax.storage.checkpoints import epochs_begun, restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.lock import HOLDER, LOCK, locked
-from cgm_jax.storage.metrics import Row, to_lines
+from cgm_jax.storage.metrics import Row, to_csv, to_lines
 from cgm_jax.storage.provenance import changes, moved_path, provenance
 
-METRICS = "metrics.jsonl"
+START = "start.npz"
+METRICS, TABLE = "metrics.jsonl", "metrics.csv"
 CONFIG = "config.json"
-PARTS = (CONFIG, METRICS, LOCK, HOLDER, "policies", "figures", "checkpoints")
+PARTS = (
+    *(CONFIG, START, METRICS, TABLE, LOCK, HOLDER),
+    *("policies", "figures", "checkpoints", "tracking"),
+)
+
+WANDB_LOG = "debug-core.log"
 
 UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
 """What reading a config raises whose values are of other types than they should be."""
@@ -98,8 +108,23 @@ class RunDirectory:
         except OSError:  # such as a name that is too long
             return False
 
-    def write_config(self, groups: list[Group], preset: str, device: str) -> None:
-        """Record how to run the sweep again; `device` names what JAX computes on.
+    def write_config(
+        self,
+        groups: list[Group],
+        preset: str,
+        device: str,
+        *,
+        origin: str | None = None,
+        shard: Shard | None = None,
+    ) -> None:
+        """Record how to run the sweep again.
+
+        Args:
+            groups: what it trains.
+            preset: where their settings come from.
+            device: what JAX computes on.
+            origin: what it starts from, of which start.npz has the arrays; None for from scratch.
+            shard: of which sweep the groups are a part, if they are one.
 
         Raises:
             SettingError: a run's name cannot be that of a file.
@@ -107,12 +132,14 @@ class RunDirectory:
         for group in groups:
             for run in group.runs:
                 _check_name(run.name)
-        self._write_config(
+        self.replace_config(
             {
                 "format": FORMAT,
                 "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
                 "preset": preset,
                 "started": _now(),
+                **({} if origin is None else {"from": origin}),
+                **({} if shard is None else {"shard": asdict(shard)}),
                 "groups": [
                     {"runs": [{"name": run.name, **run.values} for run in group.runs]}
                     for group in groups
@@ -121,7 +148,12 @@ class RunDirectory:
             }
         )
 
-    def _write_config(self, config: Mapping[str, Any]) -> None:
+    def replace_config(self, config: Mapping[str, Any]) -> None:
+        """Make this the config.
+
+        Raises:
+            OSError: it cannot be written.
+        """
         with replacing(self.path / CONFIG, durable=True) as file:
             file.write((json.dumps(config, indent=2) + "\n").encode())
 
@@ -143,6 +175,41 @@ class RunDirectory:
             return restore_config(self.path / CONFIG, self.path / "checkpoints")
         except OSError as error:
             raise SettingError(f"out: cannot write to {self.path}: {error.strerror}") from None
+
+    def config(self) -> dict[str, Any]:
+        """What config.json says, in the present format, unchecked but for its outline.
+
+        Raises:
+            SettingError: it is damaged, or of a newer version.
+        """
+        try:
+            config = upgraded(self._config())
+            for group in config["groups"]:
+                for run in group["runs"]:
+                    _check_name(run["name"])
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        return config
+
+    def shard(self) -> Shard | None:
+        """Of which sweep the directory holds a part; None if it holds a whole one.
+
+        Raises:
+            SettingError: the config is damaged.
+        """
+        try:
+            entry = self._config().get("shard")
+            if entry is None:
+                return None
+            shard = Shard(**{**entry, "swept": tuple(entry["swept"])})
+            numbers, texts = (shard.part, shard.parts), (shard.sweep, *shard.swept)
+            if {type(number) for number in numbers} != {int} or not 1 <= shard.part <= shard.parts:
+                raise ValueError(f"shard {shard.part!r:.20} of {shard.parts!r:.20}")
+            if not all(isinstance(text, str) for text in texts):
+                raise TypeError("shard: its names are no text")
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        return shard
 
     def groups(self, moved: Mapping[str, str] | None = None) -> list[Group]:
         """The sweep's groups of runs, read back from its config.
@@ -216,8 +283,15 @@ class RunDirectory:
         except UNREADABLE as error:
             raise self._damaged(error) from None
 
-    def record_resumption(self, changed: Sequence[str], moved: Mapping[str, str]) -> None:
+    def record_resumption(
+        self, changed: Sequence[str], moved: Mapping[str, str], epochs: int | None = None
+    ) -> None:
         """Add to the config what had changed when the sweep was resumed, and what has moved.
+
+        Args:
+            changed: as `changes_since_begun` returns it, and what else is worth a record.
+            moved: as `moved` returns it.
+            epochs: that all runs are trained for from now on; None for what they were begun with.
 
         Raises:
             OSError: it cannot be written.
@@ -229,6 +303,10 @@ class RunDirectory:
             config = self._config()
             files = config.get("files", {})
             entry = {"time": _now(), "changed": list(changed)}
+            if epochs is not None:
+                config = upgraded(config)
+                for values in (values for group in config["groups"] for values in group["runs"]):
+                    values["epochs"] = epochs
             config |= {
                 "groups": _renamed(config["groups"], moved),
                 "files": {str(moved_path(name, moved)): files[name] for name in files},
@@ -236,21 +314,13 @@ class RunDirectory:
             }
         except UNREADABLE as error:
             raise self._damaged(error) from None
-        self._write_config(config)
+        self.replace_config(config)
 
     def _config(self) -> Any:
-        path = self.path / CONFIG
-        try:
-            if path.stat().st_size > MAX_CONFIG_BYTES:
-                raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
-            return json.loads(path.read_bytes())
-        except (OSError, ValueError, RecursionError) as error:
-            raise self._damaged(error) from None
+        return _read_config(self.path / CONFIG)
 
     def _damaged(self, error: Exception) -> SettingError:
-        kind = "" if isinstance(error, SettingError) else f"{type(error).__name__}: "
-        text = str(error).partition("\n")[0]
-        return SettingError(f"{self.path / CONFIG} is damaged: {kind}{text}")
+        return _damaged(self.path / CONFIG, error)
 
     def append_metrics(self, rows: Sequence[Row]) -> None:
         """Add rows to metrics.jsonl.
@@ -292,9 +362,38 @@ class RunDirectory:
         with (self.path / METRICS).open(encoding="utf-8") as file:
             return [json.loads(line) for line in file if line.endswith("\n")]
 
+    def has_csv(self) -> bool:
+        """Whether metrics.csv has been asked for before."""
+        return (self.path / TABLE).exists()
+
+    def write_csv(self) -> None:
+        """Write the rows of metrics.jsonl as a table, metrics.csv.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        with replacing(self.path / TABLE) as file:
+            file.write(to_csv(self.metrics()).encode())
+
+    def epochs_begun(self) -> int:
+        """Epochs of the run that has come farthest, by checkpoints and by metrics."""
+        try:
+            written = [int(row["epoch"]) for row in self.metrics()]
+        except (OSError, *UNREADABLE):  # checkpoints will restore them
+            written = []
+        return max([epochs_begun(self.path / "checkpoints"), *written])
+
     def policy_path(self, run: Run) -> Path:
         """Where a run's policy lies."""
         return self.path / "policies" / f"{run.name}.npz"
+
+    def write_start(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep what the sweep starts from, so that it depends on no other directory.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        _write_npz(self.path / START, arrays)
 
     def write_policy(self, run: Run, arrays: Mapping[str, np.ndarray]) -> None:
         """Write or replace a run's policy; a reader never sees half a file.
@@ -318,16 +417,79 @@ def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         write_arrays(file, arrays.items())
 
 
+def read_groups(path: Path) -> list[dict[str, dict[str, Any]]]:
+    """All values of each run of a config.json, by group and name; nothing that it names runs.
+
+    Raises:
+        SettingError: the file cannot be read, or is no config.json.
+    """
+    try:
+        groups = upgraded(_read_config(path))["groups"]
+        named = [[_named_values(values) for values in group["runs"]] for group in groups]
+        names = [name for group in named for name, _ in group]
+        if not names or len({*names}) < len(names):
+            raise ValueError("it needs runs, each with a name of its own")
+        return [dict(group) for group in named]
+    except UNREADABLE as error:
+        raise _damaged(path, error) from None
+
+
+def start_beside(config: Path) -> Path | None:
+    """The arrays that the sweep of a config.json started from; None for from scratch.
+
+    Raises:
+        SettingError: they are not beside it, or it cannot be read.
+    """
+    origin, start = read_origin(config), config.with_name(START)
+    if origin is None:
+        return None
+    if not start.is_file():
+        raise SettingError(f"from: {config} began from {origin}, but {start} is missing")
+    return start
+
+
+def read_origin(path: Path) -> str | None:
+    """What the sweep of a config.json started from, as it was named; None for from scratch.
+
+    Raises:
+        SettingError: the file cannot be read.
+    """
+    try:
+        origin = _read_config(path).get("from")
+    except UNREADABLE as error:
+        raise _damaged(path, error) from None
+    return None if origin is None else str(origin)
+
+
+def _read_config(path: Path) -> Any:
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> SettingError:
+    kind = "" if isinstance(error, SettingError) else f"{type(error).__name__}: "
+    text = str(error).partition("\n")[0]
+    return SettingError(f"{path} is damaged: {kind}{text}")
+
+
+def _named_values(entry: Any) -> tuple[str, dict[str, Any]]:
+    """A run's name and values from its entry in the config; whatever is wrong with it raises."""
+    values = dict(entry)
+    name = values.pop("name")
+    _check_name(name)
+    for key, value in values.items():
+        if isinstance(value, list):  # JSON knows no tuples
+            values[key] = tuple(value)
+    return name, values
+
+
 def _group(entry: Any) -> Group:
     """A group of runs from its entry in the config; whatever is wrong with it raises."""
-    pairs = []
-    for values in entry["runs"]:
-        values = dict(values)
-        name = values.pop("name")
-        _check_name(name)
-        if "hidden_layers" in values:
-            values["hidden_layers"] = tuple(values["hidden_layers"])
-        pairs.append(run_of(name, values))
+    pairs = [run_of(*_named_values(values)) for values in entry["runs"]]
     settings = {structure(static, run.hyper): static for static, run in pairs}
     ((_, static),) = settings.items()  # runs of one group share a program
     return Group(static, tuple(run for _, run in pairs))
@@ -371,7 +533,8 @@ def _check_name(name: Any) -> None:
 def _check_parts(path: Path) -> None:
     """Check that all parts of a run directory are ordinary files and directories.
 
-    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to.
+    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
+    that wandb makes beside its log is left alone, since nothing here opens it.
 
     Raises:
         SettingError: one is not.
@@ -380,6 +543,8 @@ def _check_parts(path: Path) -> None:
         for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
             for name in (*folders, *files):
                 found = Path(folder) / name
+                if part == "tracking" and name == WANDB_LOG and Path(folder).name == "logs":
+                    continue
                 try:
                     mode = found.lstat().st_mode
                 except OSError:  # there is none

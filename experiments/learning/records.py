@@ -14,7 +14,8 @@ from cgm_jax.config.fields import parts
 from cgm_jax.config.grid import Run, run_of
 from cgm_jax.results.statistics import holds
 from cgm_jax.storage.formats import upgraded
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory
+from cgm_jax.storage.metrics import to_lines
+from cgm_jax.storage.run_directory import CONFIG, METRICS, RunDirectory
 from experiments.learning.setting import Setting, setting_of
 from experiments.table import read_table, write_table
 
@@ -103,6 +104,14 @@ def record(trained: RunDirectory, sweep: str) -> None:
         (folder / CONFIG).write_text(FOLDERS_ABOVE.sub("", config.read_text()))
         table = [{name: _text(row.get(name)) for name in columns} for row in kept]
         write_table(folder / LEARNING, table)
+
+
+def restore(sweep: str, folder: Path) -> None:
+    """Make a run directory from a record: its config, and its metrics as far as they were kept."""
+    rows = [row for run in recorded_runs(sweep) for row in run.rows]
+    folder.mkdir(parents=True)
+    (folder / CONFIG).write_bytes((SWEEPS / sweep / CONFIG).read_bytes())
+    (folder / METRICS).write_text(to_lines(sorted(rows, key=lambda row: row["epoch"])))
 
 
 def is_done(rows: Sequence[Row], settings: Mapping[str, Any]) -> bool:

@@ -34,15 +34,20 @@ def goal_masks(goal_size: int) -> jax.Array:
     return jnp.asarray((indices >> np.arange(goal_size)[::-1]) & 1, jnp.float32)
 
 
-def check_tabulated(setting: str, goal_size: int) -> None:
+def check_tabulated(setting: str, what: str, goal_size: int) -> None:
     """Check that all masks of a goal fit into a table.
 
+    Args:
+        setting: that needs the table.
+        what: the value, or the estimate, for which it does.
+        goal_size: number of goal dimensions n.
+
     Raises:
-        SettingError: they do not; the message names the setting that needs the table.
+        SettingError: they do not.
     """
     if goal_size > MAX_TABULATED:
         raise SettingError(
-            f"{setting}: needs a table of all masks, so goals of at most {MAX_TABULATED} "
+            f"{setting}: {what} needs a table of all masks, so goals of at most {MAX_TABULATED} "
             f"dimensions, not {goal_size}"
         )
 

@@ -135,7 +135,16 @@ def test_groups_split_evenly_and_lose_no_run(largest: int, sizes: list[int]) -> 
         ),
         ({"agent": ["x.py:A"]}, "agent: 'x.py:A' is not FILE.py:NAME with a file that exists"),
         ({"no_such": [1]}, "no_such: is no setting of curriculum cgm, agent ddpg"),
-        ({"curriculum": ["full"], "c_g": [0.1]}, "c_g: is no setting of curriculum full"),
+        (
+            {"curriculum": ["full", "uniform"], "c_g": [0.1]},
+            "c_g: is no setting of curriculum full or uniform, agent ddpg, relabelling future; "
+            "it is one of curriculum cgm$",
+        ),
+        (
+            {"curriculum": ["full"], "agent": ["sac", "td3"], "success_history": [5]},
+            "success_history: is no setting of curriculum full, agent sac or td3, .*; "
+            "it is one of curriculum cgm or curriculum learnability$",
+        ),
     ],
 )
 def test_bad_values_are_refused_by_name(options: dict[str, list[Any]], message: str) -> None:

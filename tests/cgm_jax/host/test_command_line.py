@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgm_jax.host.command_line import _layers
 from tests.cgm_jax.sweeps import ROOT
 
 SMOKE = ["--preset", "smoke", "--engine", "native"]
@@ -156,7 +155,7 @@ BAD_INPUT = {
     "--seeds 2 --seed 1": "seeds: give either",
     "--curriculum nothing": "curriculum: unknown curriculum 'nothing'; choose from",
     "--agent nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:NAME",
-    "--curriculum full --c-g 0.5": "c_g: is no setting of curriculum full",
+    "--curriculum full --c-g 0.5": "c_g: is no setting of curriculum full, agent ddpg, relabelling",
     "--set gain": "set: 'gain' is not NAME=VALUE",
     "--set gain=3": "gain: is no setting of curriculum cgm",
     "--colour red": "--colour",
@@ -193,11 +192,6 @@ def test_train_refuses_a_grid() -> None:
     assert result.stderr.splitlines() == [
         "error: c_g: takes one value here; cgm_jax.sweep takes several"
     ]
-
-
-def test_layers_are_one_value_or_several() -> None:
-    assert _layers(["256", "128"]) == [(256, 128)]
-    assert _layers(["64x64", "128"]) == [(64, 64), (128,)]
 
 
 def test_the_line_is_the_same_where_output_is_plain_ascii() -> None:

@@ -108,7 +108,8 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Instead of training: what would be trained."""
     plans: list[Any] = []
 
-    def plan(options: Any, preset: str, groups: Any) -> int:
+    def plan(options: Any, asked: Any) -> int:
+        groups = asked.groups
         if groups is None:
             groups = RunDirectory.open(options.resume).groups()
         plans.append(groups)
@@ -201,10 +202,9 @@ def test_50_generated_config_files(
 
 
 CONTRADICTIONS = {
-    "--resume {} --c-g 0.1": "resume: a sweep resumes as it was begun, without c_g",
     "--resume {} --out x": "resume: a sweep resumes as it was begun, without out",
     "--resume {} --preset smoke": "resume: a sweep resumes as it was begun, without preset",
-    "--resume {} --seeds 3": "resume: a sweep resumes as it was begun, without seed",
+    "--resume {} --config x": "resume: a sweep resumes as it was begun, without config",
     "--resume {}": "holds no sweep: config.json is missing",
     "--resume {}/nowhere": "holds no sweep: config.json is missing",
     "--checkpoint-seconds -1": "checkpoint_seconds: -1.0 is not a finite number of at least 0",

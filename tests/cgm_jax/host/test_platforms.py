@@ -13,7 +13,7 @@ import pytest
 
 import cgm_jax
 from cgm_jax.host.command_line import shell_command
-from cgm_jax.host.session import _new_directory
+from cgm_jax.host.session import new_directory
 from tests.cgm_jax.sweeps import POINT_MASS, ROOT
 
 # No fcntl, no home, no entry in passwd, plain ASCII output, three signals and poll missing.
@@ -96,7 +96,7 @@ def test_directories_named_for_one_second_do_not_collide(
     monkeypatch.chdir(tmp_path)
     if time.time() % 1 > 0.9:
         time.sleep(0.2)
-    made = [_new_directory("smoke") for _ in range(3)]
+    made = [new_directory("smoke") for _ in range(3)]
     assert len(set(made)) == 3
     assert [path.name.removeprefix(made[0].name) for path in made] == ["", "-2", "-3"]
     assert all((tmp_path / path).is_dir() for path in made)

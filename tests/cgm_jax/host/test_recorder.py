@@ -1,5 +1,6 @@
 """What a row of metrics.jsonl says of its run."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,6 +14,7 @@ from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results.figures import learning_curves
 from tests.cgm_jax.results.figures.made import legend, panels, titles
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZES = Sizes(
     **dict.fromkeys(("observation", "inputs", "episode_length", "environments"), 4),
     **dict.fromkeys(("evaluation_episodes", "updates_per_cycle", "critics"), 1),
@@ -82,6 +84,41 @@ def test_a_swept_setting_is_null_where_it_has_no_effect_or_there_is_none() -> No
     options = {"curriculum": ["cgm", "full"], "full_share": [0.0, 0.5], "kappa": [4.0]}
     rows = rows_of(build_groups("smoke", options))
     assert [row["full_share"] for row in rows] == [0.0, 0.5, None]
+
+
+WIDE = """
+from cgm_jax.agents.ddpg import DDPG
+from cgm_jax.config.fields import settings, static
+
+@settings
+class Wide(DDPG):
+    widths: tuple[int, ...] = static((8,), "of nothing", 1, 100)
+"""
+
+
+def test_rows_tell_the_swept_settings_of_the_users_own_components(tmp_path: Path) -> None:
+    (tmp_path / "wide.py").write_text(WIDE)
+    growing = f"{EXAMPLES / 'my_curriculum.py'}:Growing"
+    options = {
+        "agent": [f"{tmp_path / 'wide.py'}:Wide", "ddpg"],
+        "curriculum": [growing, "full"],
+        "widths": [(8, 16), (32,)],
+        "gain": [0.5, 0.25],
+        "actor_learning_rate": [1e-3, 1e-4],
+        "her": [False],
+    }
+    rows = rows_of(build_groups("smoke", options))
+    told = {
+        (row["curriculum"], row["gain"], str(row["widths"]), row["actor_learning_rate"])
+        for row in rows
+    }
+    assert told == {
+        (curriculum, gain, widths, rate)
+        for curriculum, gain in ((growing, 0.5), (growing, 0.25), ("full", None))
+        for widths in ("[8, 16]", "[32]", "None")  # of the other agent
+        for rate in (1e-3, 1e-4)
+    }
+    assert len(rows) == len(told)
 
 
 def test_rows_say_what_their_curriculum_reports() -> None:

@@ -5,6 +5,7 @@ The programs compile once for all tests; processes of their own are in test_resu
 
 import asyncio
 import contextlib
+import csv
 import dataclasses
 import functools
 import io
@@ -31,13 +32,14 @@ from jax.experimental.buffer_callback import buffer_callback
 
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, run_of
+from cgm_jax.config.grid import Group, build_groups, run_of
 from cgm_jax.config.settings import Settings
-from cgm_jax.host import recorder, runner, session
+from cgm_jax.host import dry_run, recorder, runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results import figures
 from cgm_jax.storage.lock import InUseError, locked
-from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, rows
+from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, final_state, rows
 from tests.examples.point_mass import PointMass
 
 EPOCHS, RUNS = 4, 2
@@ -67,9 +69,15 @@ def trainers() -> Callable[..., Any]:
 
 @pytest.fixture(scope="module")
 def programs() -> Callable[..., Any]:
-    made: dict[int, Any] = {}
+    made: dict[Any, Any] = {}
     make = runner.make_programs
-    return lambda trainer, _: made.setdefault(id(trainer), make(trainer))
+
+    def make_once(trainer: Any, _: Any) -> Any:  # whatever only the host looks at
+        env, settings = trainer.setup.env, trainer.setup.settings
+        key = (env, dataclasses.replace(settings, epochs=EPOCHS, leave_at=None))
+        return made.setdefault(key, make(trainer))._replace(trainer=trainer)
+
+    return make_once
 
 
 def train(out: Path, *options: str) -> int:
@@ -392,16 +400,182 @@ def test_a_directory_in_use_is_refused_and_left_alone(whole: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--epochs", "5"], "already holds a sweep with other settings or runs"),
-        (["--seed", "1"], "already holds a sweep with other settings or runs"),
-        (["--kappa", "32", "4"], "already holds a sweep with other settings or runs"),
+        (["--epochs", "3"], "epochs 4, not 3$"),
+        (["--epochs", "5"], "epochs 4, not 5; to train it for longer: .*--resume .* --epochs 5$"),
+        (["--seed", "1"], "seed 0, not 1$"),
+        (["--kappa", "32", "4"], "these values in another order$"),
+        (["--kappa", "4", "--epochs", "5"], "epochs 4, not 5; kappa 4 32, not 4$"),
+        (
+            ["--agent", "sac", "--curriculum", "full"],
+            "curriculum cgm, not full; agent ddpg, not sac; .*; and 1[0-9] more$",
+        ),
+        (["--hidden-layers", "32x32", "8"], "hidden_layers 32x32, not 32x32 8$"),
     ],
 )
-def test_another_sweep_in_the_same_directory_is_refused(
+def test_another_sweep_in_the_same_directory_is_refused_with_what_differs(
     options: list[str], complaint: str, whole: Path
 ) -> None:
-    with pytest.raises(SettingError, match=complaint):
+    with pytest.raises(SettingError, match=f"^out: {whole} already holds a sweep .*{complaint}"):
         train(whole, *options)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (
+            ["--kappa", "4"],
+            "kappa: .* was begun with 4 32, not 4; a sweep resumes as it was begun$",
+        ),
+        (["--seeds", "2"], "seed: .* was begun with 0, not 0 1; "),
+        (["--target-noise", "0.1"], "target_noise: .* was begun with none, not 0.1; "),
+        (["--epochs", "3"], "epochs: 3 are fewer than the 4 that .* has begun$"),
+        (["--epochs", "0"], "epochs: 0 are fewer than the 4 "),
+        (["--epochs", "5", "6"], "epochs: takes one value with --resume$"),
+        (["--epochs", "1000000000"], "epochs: .* env_steps in all are more than can be counted$"),
+    ],
+)
+def test_resuming_with_other_settings_is_refused_with_both_values(
+    options: list[str], complaint: str, whole: Path
+) -> None:
+    before = (whole / "config.json").read_bytes()
+    with pytest.raises(SettingError, match=f"^{complaint}"):
+        sweep.main(["--resume", str(whole), *options])
+    assert (whole / "config.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_more_epochs_give_the_bits_of_a_sweep_that_was_asked_for_them_from_the_start(
+    stopped: bool,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    if stopped:  # in its second epoch of three
+        stop_at_epoch(monkeypatch, 2, out, "--epochs", "3", *ALWAYS)
+    else:
+        assert train(out, "--epochs", "2", "--csv") == 0
+    before = 3 if stopped else 2
+    capsys.readouterr()
+    # Settings that are as they were may be given again.
+    assert sweep.main(["--resume", str(out), "--epochs", "4", "--kappa", "4", "32"]) == 0
+    assert f"4 epochs instead of {before}" in capsys.readouterr().err
+    assert_same_results(whole, out)
+    config = json.loads((out / "config.json").read_text())
+    assert {run["epochs"] for group in config["groups"] for run in group["runs"]} == {4}
+    assert config["resumed"][-1]["changed"] == [f"epochs {before} (now 4)"]
+    assert train(out) == 0  # the same as a sweep of four epochs from now on
+    assert (out / "metrics.csv").exists() is not stopped  # once asked for, it is kept up to date
+    if not stopped:
+        rates = [row["success_rate"] for row in rows(out)]
+        assert [float(row["success_rate"]) for row in table(out)] == rates
+
+
+def table(out: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader((out / "metrics.csv").read_text().splitlines()))
+
+
+def test_a_table_is_written_of_a_finished_sweep(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    assert sweep.main(["--resume", str(out), "--csv"]) == 0
+    assert [(row["run"], int(row["epoch"])) for row in table(out)] == [
+        (row["run"], row["epoch"]) for row in rows(out)
+    ]
+
+
+def files(path: Path) -> dict[Path, int]:
+    return {one: one.stat().st_mtime_ns for one in path.rglob("*") if one.is_file()}
+
+
+def test_a_dry_run_says_what_would_be_trained_and_makes_nothing(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(dry_run, "MEASURED_SECONDS", 0.0)
+    assert sweep.main([*OPTIONS, "--dry-run"]) == 0
+    assert train(tmp_path / "out", "--dry-run", "--leave-at", "0.5") == 0
+    assert not list(tmp_path.iterdir())
+    out = capsys.readouterr().out
+    names = {row["run"] for row in rows(whole)}
+    assert all(out.count(f"   {name}\n") == 2 for name in names)
+    assert out.count("2 runs in 1 program; nothing is written") == 2
+    each = f"4 epochs of {rows(whole)[0]['env_steps']} environment steps each"
+    assert f"\n1. {POINT_MASS}, cgm, ddpg: 2 runs side by side, {each}\n" in out
+    assert out.count(" of memory\n") == 2
+    assert re.search(r"\ntime: about \d+ s, \d+ s of it to compile, as measured just now; ", out)
+    assert "\ntime: at most about " in out  # runs may leave
+
+
+def test_a_dry_run_of_a_begun_sweep_takes_its_recorded_pace(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    for line in lines:  # 120 s to compile, 1,000 s for an epoch
+        line["wall_s"] = 120 + 1000 * line["epoch"]
+    (out / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    before = files(out)
+    assert sweep.main(["--resume", str(out), "--epochs", "7", "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    assert "\ntime: about 52 min, 2 min of it to compile, as recorded there; " in text
+    assert sweep.main(["--resume", str(out), "--dry-run"]) == 0
+    assert capsys.readouterr().out.endswith("time: none, all is done\n")
+    with pytest.raises(SettingError, match=r"^epochs: 3 are fewer"):
+        sweep.main(["--resume", str(out), "--epochs", "3", "--dry-run"])
+    assert files(out) == before
+
+
+def test_a_sweep_starts_from_what_another_run_has_learned_also_when_it_begins_anew(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, run = tmp_path / "out", rows(whole)[0]["run"]
+    start = ["--from", str(whole), "--from-run", run]
+    assert train(out, *start) == 0
+    first, scratch = rows(out)[0], rows(whole)[0]
+    assert first["updates"] == scratch["updates"]  # counters are its own
+    assert first["value"] != scratch["value"]
+    with np.load(out / "start.npz") as file:
+        source = {name: file[name] for name in file.files}
+    there = final_state(whole)
+    assert source
+    assert all((array == there[name][0]).all() for name, array in source.items())
+    assert train(out, *start) == 0  # the same command again
+    origin = f"{whole}, {run}"
+    assert json.loads((out / "config.json").read_text())["from"] == origin
+    for other, text in (([], "nothing"), (start[:2], str(whole))):
+        with pytest.raises(SettingError, match=f"from: .* begun from {origin}, not from {text}$"):
+            train(out, *other)
+
+    killed = tmp_path / "killed"  # before its first checkpoint
+    stop_at_epoch(monkeypatch, 1, killed, *start)
+    shutil.rmtree(killed / "checkpoints")
+    assert sweep.main(["--resume", str(killed)]) == 0
+    assert_same_results(out, killed)
+    again = tmp_path / "again"
+    assert sweep.main(["--config", str(out), "--out", str(again)]) == 0
+    assert_same_results(out, again)
+    (again / "start.npz").unlink()
+    with pytest.raises(SettingError, match=r"from: .* but .*start.npz is missing$"):
+        sweep.main(["--config", str(again), "--out", str(tmp_path / "more")])
+
+
+def test_a_policy_that_does_not_fit_is_refused_before_anything_is_made(
+    whole: Path, tmp_path: Path
+) -> None:
+    policy = next((whole / "policies").glob("*.npz"))
+    with pytest.raises(SettingError, match=r"^from: its layers are 6x32x32x2 there and 6x8x2 "):
+        train(tmp_path / "out", "--from", str(policy), "--hidden-layers", "8")
+    assert not (tmp_path / "out").exists()
+
+
+def test_sweeps_that_compare_numbers_of_epochs_are_not_trained_for_longer(tmp_path: Path) -> None:
+    with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
+        directory.write_config(build_groups("smoke", {"epochs": [1, 2]}), "smoke", "cpu")
+    with pytest.raises(SettingError, match=r"^epochs: .* compares 1 and 2 epochs, which stay$"):
+        sweep.main(["--resume", str(directory.path), "--epochs", "4"])
 
 
 @pytest.mark.parametrize(

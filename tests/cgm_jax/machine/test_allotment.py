@@ -68,6 +68,8 @@ def test_memory_is_the_least_of_all_that_limit_it(tmp_path: Path) -> None:
     per_core = {"SLURM_MEM_PER_CPU": "1024", "SLURM_CPUS_ON_NODE": "2"}
     assert free_memory(tmp_path, per_core) == (2048 - 100) * MEBIBYTE
     assert free_memory(tmp_path, {"SLURM_MEM_PER_NODE": "50"}) == 0
+    shares = {"SLURM_MEM_PER_NODE": "4096", "CGM_JAX_MEMORY_MIB": "600"}  # of a launcher
+    assert free_memory(tmp_path, shares) == (600 - 100) * MEBIBYTE
     write(
         tmp_path,
         proc__self__cgroup="0::/job/step\n",

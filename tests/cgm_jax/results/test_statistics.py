@@ -3,7 +3,13 @@ import math
 import numpy as np
 import pytest
 
-from cgm_jax.results.statistics import first_to_hold, holds, quartiles, wilson_interval
+from cgm_jax.results.statistics import (
+    first_to_hold,
+    holds,
+    median_interval,
+    quartiles,
+    wilson_interval,
+)
 
 
 def test_quartiles_are_interpolated_as_numpy_does() -> None:
@@ -44,3 +50,18 @@ def test_wilson_interval_by_hand() -> None:
     assert (low, high) == (0.0, pytest.approx(0.1611, abs=1e-4))
     with pytest.raises(ValueError, match="at least one trial"):
         wilson_interval(0, 0)
+
+
+def test_intervals_of_medians_by_hand() -> None:
+    # 2 / 2^5 = 6 % is too much, 2 / 2^6 = 3 % is not; of ten, 2 (1 + 10) / 2^10 = 2 %.
+    assert median_interval([1, 2, 3, 4, 5]) is None
+    assert median_interval([6, 1, 2, 3, 4, 5]) == (1, 6)
+    assert median_interval(range(10)) == (1, 8)
+    assert median_interval(range(5), confidence=0.9) == (0, 4)
+
+
+def test_intervals_of_medians_cover_what_they_promise() -> None:
+    draws = np.random.default_rng(0).exponential(size=(4000, 10))
+    intervals = [median_interval(values) or (0, 0) for values in draws]
+    covered = np.mean([low <= np.log(2) <= high for low, high in intervals])
+    assert covered == pytest.approx(1 - 22 / 1024, abs=0.01)

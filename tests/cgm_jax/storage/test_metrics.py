@@ -1,9 +1,14 @@
 """Rows of metrics in memory and as lines."""
 
+import csv
+import io
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from cgm_jax.storage.metrics import from_lines, plain_row, to_lines
+from cgm_jax.storage.metrics import from_lines, plain_row, to_csv, to_lines
 
 ROW = plain_row(
     {
@@ -51,3 +56,61 @@ def test_rows_become_lines_of_json_and_lines_the_same_rows() -> None:
 def test_a_line_that_is_no_object_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match=r".+"):
         from_lines([LINE, line])
+
+
+def test_a_table_has_a_cell_per_number_and_a_word_per_swept_setting() -> None:
+    swept = {"swept": ["hidden_layers"], "reported": ["a", "b"]}
+    shared = {"success_rate": 0.5, "cgm": True, "failure": None, **swept}
+    rows = [
+        {
+            **shared,
+            "hidden_layers": [8, 16],
+            "swept": ["hidden_layers"],
+            "mask_share": [0.25, None],
+        },
+        {**shared, "hidden_layers": [8], "mask_share": None},
+    ]
+    one, other = csv.DictReader(io.StringIO(to_csv(rows)))
+    assert one == {
+        "success_rate": "0.5",
+        "cgm": "True",
+        "failure": "",
+        "reported": "a b",
+        "hidden_layers": "8x16",
+        "swept": "hidden_layers",
+        "mask_share_0": "0.25",
+        "mask_share_1": "",
+    }
+    assert (other["hidden_layers"], other["mask_share_0"]) == ("8", "")
+
+
+def test_a_table_names_the_cells_of_lists_of_lists_and_quotes_words_with_commas() -> None:
+    text = to_csv([{"run": "a,b", "share": [[1, 2], [3, 4]]}])
+    assert text == 'run,share_0_0,share_0_1,share_1_0,share_1_1\n"a,b",1,2,3,4\n'
+
+
+def test_the_readmes_lines_of_pandas_read_metrics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = [("cgm", 0.1, 4.0), ("cgm", 0.4, 4.0), ("full", None, None)]
+    rows = [
+        {
+            **dict(zip(("curriculum", "c_g", "kappa"), point, strict=True)),
+            **{"seed": seed, "epoch": epoch, "success_rate": 0.1 * number + 0.05 * seed * epoch},
+        }
+        for number, point in enumerate(points)
+        for seed in range(3)
+        for epoch in (1, 2)
+    ]
+    folder = tmp_path / "runs" / "sweep"
+    folder.mkdir(parents=True)
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    monkeypatch.chdir(tmp_path)
+    readme = (Path(__file__).parents[3] / "README.md").read_text()
+    exec(readme.split("<!-- pandas -->\n```python\n")[1].split("```")[0], {})
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines[-3:] == [  # medians over seeds: those of seed 1
+        ["cgm", "0.1", "4.0", "0.05", "0.1"],
+        ["0.4", "4.0", "0.15", "0.2"],
+        ["full", "NaN", "NaN", "0.25", "0.3"],
+    ]

@@ -190,6 +190,20 @@ def test_a_link_to_a_run_directory_is_fine(tmp_path: Path) -> None:
     assert len(RunDirectory.open(tmp_path / "link").groups()[0].runs) == 2
 
 
+def test_of_a_trackers_files_only_the_link_beside_wandbs_log_may_be_one(tmp_path: Path) -> None:
+    with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
+        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+    logs = tmp_path / "out/tracking/wandb/wandb/offline-run-1/logs"
+    logs.mkdir(parents=True)
+    (logs / "debug-core.log").symlink_to(tmp_path / "log")
+    RunDirectory.open(tmp_path / "out")
+    for link in ("tracking/debug-core.log", "tracking/tensorboard"):
+        (tmp_path / "out" / link).symlink_to(tmp_path)
+        with pytest.raises(SettingError, match=f"{link} is a symbolic link"):
+            RunDirectory.open(tmp_path / "out")
+        (tmp_path / "out" / link).unlink()
+
+
 def test_a_link_in_place_of_a_half_written_file_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "target").write_text("kept")
     (tmp_path / f"a{PARTIAL}").symlink_to(tmp_path / "target")

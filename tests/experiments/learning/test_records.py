@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from cgm_jax.config.grid import build_groups, split
+from cgm_jax.results.page.sweeps import read_sweep
 from cgm_jax.storage.run_directory import CONFIG, METRICS, RunDirectory
 from experiments.learning import records
 
@@ -152,3 +153,17 @@ def test_nothing_done_leaves_the_record_of_before(tmp_path: Path) -> None:
     assert [len(run.rows) for run in records.recorded_runs("mine")] == [5, 5]
     assert records.recorded_runs("another") == []
     assert (tmp_path / "sweeps" / "mine" / CONFIG).is_file()
+
+
+def test_a_record_becomes_a_run_directory_again(tmp_path: Path) -> None:
+    trained(tmp_path / "run", {}, [[0.0, 0.2, None, 0.6, 0.8], [0.0, 0.0, 0.4, 0.5, 1.0]])
+    records.record(RunDirectory(tmp_path / "run"), "kept")
+    records.restore("kept", tmp_path / "again")
+    before, again = read_sweep(tmp_path / "run"), read_sweep(tmp_path / "again")
+    assert again.finished
+    assert again.planned == before.planned
+    for name in ("run", "epoch", "env_steps", "success_rate", "wall_s"):
+        columns = [
+            [row[name] for run in sweep.runs for row in run.rows] for sweep in (before, again)
+        ]
+        assert columns[0] == columns[1], name

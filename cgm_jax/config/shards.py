@@ -1,0 +1,85 @@
+"""Parts of a sweep, for as many processes and machines: `--shard I/N`.
+
+A part holds whole runs. Parts are consecutive pieces of the sweep's list of runs and differ by at
+most one run in size, so that each has as few programs to compile as can be.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, swept_settings
+
+MAX_PARTS = 10_000
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Which part of which sweep a run directory holds.
+
+    Attributes:
+        part: its number, from 1.
+        parts: how many there are.
+        sweep: SHA-256 of the names and settings of all runs of the whole sweep, in order.
+        swept: names of the settings in which those differ.
+    """
+
+    part: int
+    parts: int
+    sweep: str
+    swept: tuple[str, ...]
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """I and N of "I/N".
+
+    Raises:
+        SettingError: it is not of that form, or I is not within 1 and N.
+    """
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+    if found is None:
+        raise SettingError(f"shard: {text!r} is not I/N, such as 1/4")
+    part, parts = int(found[1]), int(found[2])
+    if not 1 <= part <= parts <= MAX_PARTS:
+        raise SettingError(f"shard: {text} is not I/N with 1 <= I <= N <= {MAX_PARTS}")
+    return part, parts
+
+
+def cut(groups: Sequence[Group], part: int, parts: int) -> tuple[list[Group], Shard]:
+    """One part of a sweep.
+
+    Args:
+        groups: of the whole sweep.
+        part: which, from 1.
+        parts: of how many.
+
+    Raises:
+        SettingError: there are more parts than runs.
+    """
+    count = sum(len(group.runs) for group in groups)
+    if parts > count:
+        runs = "1 run" if count == 1 else f"{count} runs"
+        raise SettingError(f"shard: {parts} parts of {runs} are too many; give at most {count}")
+    shard = Shard(part, parts, _digest(groups), tuple(swept_settings(groups)))
+    return piece(groups, part, parts), shard
+
+
+def piece(groups: Sequence[Group], part: int, parts: int) -> list[Group]:
+    """The runs of one part, as in `cut`."""
+    count = sum(len(group.runs) for group in groups)
+    first, end = count * (part - 1) // parts, count * part // parts
+    pieces, before = [], 0
+    for group in groups:
+        runs = group.runs[max(0, first - before) : max(0, end - before)]
+        before += len(group.runs)
+        if runs:
+            pieces.append(Group(group.settings, runs))
+    return pieces
+
+
+def _digest(groups: Sequence[Group]) -> str:
+    runs = [[run.name, run.values] for group in groups for run in group.runs]
+    return hashlib.sha256(json.dumps(runs, sort_keys=True).encode()).hexdigest()

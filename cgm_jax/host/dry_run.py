@@ -1,0 +1,181 @@
+"""What a sweep would train and what it takes, without a directory: `--dry-run`.
+
+The time is measured: each program is compiled and run for some cycles. Of a sweep that has been
+trained for a while it is the pace that its metrics.jsonl recorded.
+"""
+
+import itertools
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import jax
+
+from cgm_jax.host.device_errors import DeviceError, device_errors
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.runner import Job
+from cgm_jax.storage.checkpoints import position
+from cgm_jax.storage.run_directory import RunDirectory
+
+MEASURED_SECONDS = 2.0
+"""For how long a program runs to be timed; at least one cycle."""
+
+MAX_SHOWN = 20
+"""Runs of a job that are listed."""
+
+Key = tuple[object, int]
+"""A program and how many runs it trains: jobs of one key take equally long per epoch."""
+
+
+class Pace(NamedTuple):
+    """Seconds that a job takes.
+
+    Attributes:
+        compiling: once per key.
+        cycle: of rollouts and updates, each.
+        evaluation: at the end of an epoch, each.
+    """
+
+    compiling: float
+    cycle: float
+    evaluation: float
+
+
+def show_plan(jobs: Sequence[Job], notes: Sequence[str], directory: RunDirectory | None) -> int:
+    """Print what would be trained; return the exit code.
+
+    Args:
+        jobs: what would be.
+        notes: lines on memory, and remarks.
+        directory: that would be resumed; None for a new one.
+    """
+    for line in (*_plan_lines(jobs), *notes):
+        print(line, flush=True)
+    try:
+        print(_time_line(jobs, directory))
+    except DeviceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return ExitCode.FAILED
+    return ExitCode.DONE
+
+
+def _plan_lines(jobs: Sequence[Job]) -> Iterator[str]:
+    count = sum(len(job.group.runs) for job in jobs)
+    programs = len({_key(job)[0] for job in jobs})
+    yield f"{_counted(count, 'run')} in {_counted(programs, 'program')}; nothing is written"
+    for number, job in enumerate(jobs, 1):
+        settings, runs, env = job.group.settings, job.group.runs, job.programs.trainer.setup.env
+        steps = settings.environments * env.episode_length * settings.cycles_per_epoch
+        components = f"{runs[0].values['curriculum']}, {runs[0].values['agent']}"
+        yield (
+            f"{number}. {settings.env}, {components}: {_counted(len(runs), 'run')} side by side, "
+            f"{_counted(settings.epochs, 'epoch')} of {steps:,} environment steps each"
+        )
+        yield from (f"   {run.name}" for run in runs[:MAX_SHOWN])
+        if len(runs) > MAX_SHOWN:
+            yield f"   and {len(runs) - MAX_SHOWN} more"
+
+
+def _time_line(jobs: Sequence[Job], directory: RunDirectory | None) -> str:
+    """The time that is left, and what the estimate rests on."""
+    recorded = {} if directory is None else _recorded_paces(jobs, directory)
+    measured: dict[Key, Pace] = {}
+    seconds, needed = 0.0, set[Key]()
+    for index, job in enumerate(jobs):
+        epochs, cycles = _left(job, index, directory)
+        if epochs == 0:
+            continue
+        key = _key(job)
+        if key not in recorded and key not in measured:
+            print(f"measuring program {len(measured) + 1}", file=sys.stderr, flush=True)
+            measured[key] = _measured(job)
+        pace = (recorded | measured)[key]
+        seconds += cycles * pace.cycle + epochs * pace.evaluation
+        needed.add(key)
+    if not needed:
+        return "time: none, all is done"
+    compiling = sum((recorded | measured)[key].compiling for key in needed)
+    sources = ["as recorded there"] * bool(needed & set(recorded))
+    sources += ["as measured just now"] * bool(measured)
+    most = "at most " if any(job.group.settings.leave_at is not None for job in jobs) else ""
+    return (
+        f"time: {most}about {duration(seconds + compiling)}, {duration(compiling)} of it to "
+        f"compile, {' or '.join(sources)}; other load and contact-rich episodes make it longer, "
+        "checkpoints and figures come on top"
+    )
+
+
+def _measured(job: Job) -> Pace:
+    """Compile a job's programs and time them in its first cycles.
+
+    Raises:
+        DeviceError: the physics or the memory fails.
+    """
+    hyper, programs = job.group.hyper(), job.programs
+    with device_errors():
+        times = [time.monotonic()]
+        state = jax.block_until_ready(programs.train(programs.start(hyper), hyper, 1))
+        times.append(time.monotonic())
+        cycles = 0
+        while not cycles or time.monotonic() - times[-1] < MEASURED_SECONDS:
+            state = jax.block_until_ready(programs.train(state, hyper, 1))
+            cycles += 1
+        for _ in range(2):
+            times.append(time.monotonic())
+            state, _ = jax.block_until_ready(programs.evaluate(state, hyper))
+        times.append(time.monotonic())
+    first, all_cycles, first_evaluation, evaluation = (
+        after - before for before, after in itertools.pairwise(times)
+    )
+    cycle = all_cycles / cycles
+    compiling = first - cycle + first_evaluation - evaluation
+    return Pace(max(0.0, compiling), cycle, evaluation)
+
+
+def _recorded_paces(jobs: Sequence[Job], directory: RunDirectory) -> dict[Key, Pace]:
+    """The paces of jobs that have been trained for a while, from metrics.jsonl.
+
+    What the first epoch took longer than a later one is counted as compilation.
+    """
+    times: dict[str, list[float]] = {}
+    try:
+        for row in directory.metrics():
+            times.setdefault(row["run"], []).append(float(row["wall_s"]))
+    except (OSError, ValueError, KeyError, TypeError):  # damaged; checkpoints will restore it
+        return {}
+    paces = {}
+    for job in jobs:
+        first, *later = times.get(job.group.runs[0].name, [0.0])
+        if later:
+            epoch = (later[-1] - first) / len(later)
+            cycle = epoch / job.group.settings.cycles_per_epoch
+            paces[_key(job)] = Pace(max(0.0, first - epoch), cycle, evaluation=0.0)
+    return paces
+
+
+def _left(job: Job, index: int, directory: RunDirectory | None) -> tuple[int, int]:
+    """Evaluations that a job has still to do, and cycles."""
+    settings, done = job.group.settings, (0, 0)
+    if directory is not None:
+        done = position(directory.path / "checkpoints", index)
+    epochs = max(0, settings.epochs - done[0])
+    return epochs, max(0, epochs * settings.cycles_per_epoch - done[1])
+
+
+def _key(job: Job) -> Key:
+    program = (id(job.programs), jax.tree.structure(job.group.runs[0].hyper))
+    return program, len(job.group.runs)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}" + ("" if count == 1 else "s")
+
+
+def duration(seconds: float) -> str:
+    """A time for people, to two digits or so."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 90 * 60:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"

@@ -1,0 +1,196 @@
+"""Starting from what another run has learned: `--from DIR` or `--from policy.npz`.
+
+From a run directory: the whole state of the agent (actor, critics, targets, optimisers) and the
+statistics of the normaliser, of the last checkpoint. From a policy file: its actor and statistics,
+which count as if they came from one epoch of the new run; all else of the agent is fresh. Replay,
+curriculum, counters and seeds are the new run's own in both cases, and so is every setting.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.host.checkpoint import named_leaves, restore_leaf, stored_like
+from cgm_jax.loop.normaliser import with_statistics
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.training import Programs
+from cgm_jax.storage.arrays import read_arrays, read_shapes
+from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
+from cgm_jax.storage.policies import MAX_POLICY_BYTES, load_policy
+from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_groups
+
+TAKEN = (".agent", ".normaliser.observation", ".normaliser.goal")
+"""Parts of a training state that another run's take the place of. The limit to which normalised
+values are clipped is a setting."""
+
+Arrays = Mapping[str, np.ndarray]
+"""Of a policy file, or leaves of one run's training state by their names in checkpoints."""
+
+
+def read_source(path: Path, run: str | None = None) -> dict[str, np.ndarray]:
+    """What to start from.
+
+    Args:
+        path: a run directory, a policy file, or the start.npz of a run directory.
+        run: which run of a directory; None if it has one only.
+
+    Raises:
+        SettingError: there is nothing to start from.
+    """
+    if path.is_dir():
+        return _from_directory(path, run)
+    if run is not None:
+        raise SettingError(f"from_run: {path} is no run directory")
+    try:
+        arrays = read_arrays(path, MAX_POLICY_BYTES)
+        return arrays if _holds_state(arrays) else load_policy(path)
+    except ValueError as error:
+        raise SettingError(f"from: {error}") from None
+
+
+def check_start(source: Arrays, programs: Programs, hyper: Hyperparameters) -> None:
+    """Check that runs can start from a source, by shapes alone.
+
+    Raises:
+        SettingError: it does not fit; the message says what differs.
+    """
+    start_from(source, programs, hyper, jax.eval_shape(jax.vmap(programs.trainer.init), hyper))
+
+
+def start_from(
+    source: Arrays, programs: Programs, hyper: Hyperparameters, state: TrainingState
+) -> TrainingState:
+    """The state of runs before any training, with what another run has learned.
+
+    Args:
+        source: as `read_source` returns it.
+        programs: of the runs.
+        hyper: of the runs, every leaf [runs].
+        state: as `programs.start` returns it. Shapes will do: then shapes are returned.
+
+    Raises:
+        SettingError: the source does not fit; the message says what differs.
+    """
+    if _holds_state(source):
+        return _with_leaves(source, state)
+    settings, env = programs.trainer.setup.settings, programs.trainer.setup.env
+    episodes = settings.cycles_per_epoch * settings.environments
+    actor = _actor(source, mask_input=settings.mask_input)
+    _check_policy(source, actor, hyper, state)
+    take = jax.vmap(lambda one, agent: one.agent.with_actor(agent, actor))
+    observe = jax.vmap(lambda own: with_statistics(own, source, episodes * env.episode_length))
+    compute: Callable[..., Any] = jax.eval_shape if _is_shape(state) else lambda f, *x: f(*x)
+    return state.replace(
+        agent=compute(take, hyper, state.agent), normaliser=compute(observe, state.normaliser)
+    )
+
+
+def _from_directory(path: Path, run: str | None) -> dict[str, np.ndarray]:
+    """Leaves of one run's agent and normaliser, from the last checkpoint that is whole."""
+    RunDirectory.open(path)
+    groups = read_groups(path / CONFIG)
+    names = [name for group in groups for name in group]
+    if run is None and len(names) > 1:
+        shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        raise SettingError(f"from: {path} has {len(names)} runs; choose --from-run of {shown}")
+    run = names[0] if run is None else run
+    if run not in names:
+        raise SettingError(f"from_run: {path} has no run {run!r}")
+    ((number, group),) = [(i, group) for i, group in enumerate(groups) if run in group]
+    for checkpoint in reversed(finished_checkpoints(path / "checkpoints", number)):
+        if format_of(checkpoint) == FORMAT and damage(checkpoint) is None:
+            return _leaves(checkpoint, list(group).index(run))
+    raise SettingError(
+        f"from: {path} has no whole checkpoint of this version of {run}; take its policy, "
+        f"{path / 'policies' / f'{run}.npz'}"
+    )
+
+
+def _leaves(checkpoint: Path, index: int) -> dict[str, np.ndarray]:
+    """What a run has learned, of a checkpoint whose leaves have a leading axis of runs."""
+    try:
+        shapes = read_shapes(checkpoint)
+        with np.load(checkpoint, allow_pickle=False) as file:
+            return {name: file[name][index] for name in shapes if name.startswith(TAKEN)}
+    except (ValueError, IndexError, OSError) as error:
+        raise SettingError(f"from: {checkpoint} cannot be read: {error}") from None
+
+
+def _holds_state(arrays: Arrays) -> bool:
+    return any(name.startswith(TAKEN) for name in arrays)
+
+
+def _with_leaves(source: Arrays, state: TrainingState) -> TrainingState:
+    """A state whose agent and normaliser are those of the source in every run."""
+    named = named_leaves(state)
+    mine = {name for name, _ in named if name.startswith(TAKEN)}
+    for name in sorted(mine ^ set(source)):
+        where = "is only there" if name in source else "is only here"
+        raise SettingError(f"from: it is of another kind of agent: {_said(name)} {where}")
+    leaves = []
+    for name, leaf in named:
+        if name in mine:
+            (_, *shape), dtype = stored_like(leaf)
+            if [*source[name].shape] != shape or source[name].dtype != dtype:
+                there = f"{source[name].dtype}{[*source[name].shape]}"
+                raise SettingError(f"from: {_said(name)} is {there} there and {dtype}{shape} here")
+            leaf = leaf if _is_shape(state) else _repeated(source[name], leaf)
+        leaves.append(leaf)
+    return jax.tree.unflatten(jax.tree.structure(state), leaves)
+
+
+def _repeated(array: np.ndarray, like: jax.Array) -> jax.Array:
+    return restore_leaf(np.repeat(array[None], len(like), axis=0), like)
+
+
+def _said(name: str) -> str:
+    """A leaf's name for people: agent.actor.layer_0.kernel."""
+    return name.replace("['params']", "").replace("['", ".").replace("']", "").lstrip(".")
+
+
+def _is_shape(state: TrainingState) -> bool:
+    return isinstance(state.env_steps, jax.ShapeDtypeStruct)
+
+
+def _actor(policy: Arrays, *, mask_input: bool) -> dict[str, Any]:
+    """Parameters of a policy file's actor, with what it sees of masks."""
+    count = sum(name.endswith("_kernel") for name in policy)
+    parts = ("kernel", "bias")
+    layers = {
+        f"layer_{i}": {part: jnp.asarray(policy[f"layer_{i}_{part}"]) for part in parts}
+        for i in range(count)
+    }
+    if mask_input and "mask_weights" in policy:
+        whole = (policy["layer_0_kernel"], policy["mask_weights"])
+        layers["layer_0"]["kernel"] = jnp.concatenate(whole)
+    return {"params": layers}
+
+
+def _check_policy(policy: Arrays, actor: Any, hyper: Hyperparameters, state: TrainingState) -> None:
+    """Check that a policy file and its actor have the shapes of those of the runs, [runs, ...].
+
+    Raises:
+        SettingError: they have not.
+    """
+    mine = jax.eval_shape(jax.vmap(lambda one, agent: one.agent.actor(agent)), hyper, state.agent)
+    for kind in ("observation", "goal"):
+        size, own = policy[f"{kind}_mean"].size, getattr(state.normaliser, kind).mean.shape[-1]
+        if size != own:
+            raise SettingError(f"from: it was made for {kind}s of size {size}, not {own}")
+    there, here = (_widths(one) for one in (actor, mine))
+    if there != here:
+        raise SettingError(
+            f"from: its layers are {there} there and {here} here, from inputs to actions"
+        )
+
+
+def _widths(actor: Any) -> str:
+    layers = actor["params"]
+    kernels = [layers[f"layer_{i}"]["kernel"].shape[-2:] for i in range(len(layers))]
+    return "x".join(map(str, [kernels[0][0], *(width for _, width in kernels)]))

@@ -1,0 +1,122 @@
+"""`python -m cgm_jax.launch --on local|slurm|ray --jobs N -- SWEEP OPTIONS`: a sweep in parts."""
+
+import contextlib
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group
+from cgm_jax.config.shards import piece
+from cgm_jax.host.command_line import owns_process, parse, run_program, shell_command
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.session import conclude, new_directory
+from cgm_jax.launching.directory import LAUNCH, Launch, absolute_path
+from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
+from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
+from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.storage.run_directory import RunDirectory
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program on command-line arguments; return its exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    place = words.index("--") if "--" in words else len(words)
+    options = parse(LaunchOptions, words[:place], PROGRAM)
+    with Interruption(
+        patience=PATIENCE_SECONDS + 5,
+        ends_process=owns_process(),
+        first_words="stopping; a second Ctrl-C: at once",
+    ) as interruption:
+        launch, groups = planned(options, words[place + 1 :])
+        engine = _engine(launch)
+        if launch.path == Path():
+            launch = replace(launch, path=absolute_path(new_directory(launch.preset)))
+        fresh = not (launch.path / LAUNCH).exists()
+        with _claimed(launch, fresh=fresh) as directory:
+            interruption.expendable = False
+            return _run(launch, engine, groups, directory, interruption)
+
+
+def _engine(launch: Launch) -> Engine:
+    """What makes attempts, before anything is made.
+
+    Raises:
+        SettingError: it is not installed, or there is no such thing here.
+    """
+    if launch.on == "slurm":
+        from cgm_jax.launching.slurm import Slurm
+
+        return Slurm(launch.resources)
+    if launch.on == "ray":
+        from cgm_jax.launching.ray import Ray
+
+        return Ray(launch.resources)
+    from cgm_jax.launching.local import Local
+
+    return Local(launch.parts, launch.resources)
+
+
+@contextlib.contextmanager
+def _claimed(launch: Launch, *, fresh: bool) -> Iterator[RunDirectory]:
+    """The launch's directory, in which no other launcher is meanwhile."""
+    with RunDirectory.claimed(launch.path, fresh=fresh) as directory:
+        try:
+            launch.write()
+        except OSError as error:
+            raise SettingError(f"out: cannot write to {launch.path}: {error.strerror}") from None
+        yield directory
+
+
+def _run(
+    launch: Launch,
+    engine: Engine,
+    groups: Sequence[Group],
+    directory: RunDirectory,
+    interruption: Interruption,
+) -> int:
+    """Train all parts and merge them."""
+    if directory.holds_sweep():
+        return conclude(directory, directory.metrics())
+    runs = sum(len(group.runs) for group in groups)
+    print(f"{launch.path}: {runs} runs in {launch.parts} parts, {launch.on}", file=sys.stderr)
+    codes = supervise(launch, engine, _epochs(launch, groups), interruption)
+    if codes is None:
+        print(f"stopped; {_how_to_resume(launch)}", file=sys.stderr)
+        return ExitCode.STOPPED
+    failed = [part for part, code in codes.items() if code not in (0, ExitCode.DIVERGED)]
+    if failed:
+        which = ", ".join(str(part) for part in sorted(failed))
+        print(f"not done: {len(failed)} of {launch.parts} parts ({which})", file=sys.stderr)
+        print(_how_to_resume(launch), file=sys.stderr)
+        return verdict(codes)
+    parts = read_parts([launch.out(part) for part in codes])
+    if names := differences(parts):
+        print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)
+    try:
+        rows = write_merged(parts, directory)
+    except OSError as error:
+        print(f"error: cannot write to {launch.path}: {error.strerror or error}", file=sys.stderr)
+        print(_how_to_resume(launch), file=sys.stderr)
+        return ExitCode.CANNOT_WRITE
+    return conclude(directory, rows)
+
+
+def _epochs(launch: Launch, groups: Sequence[Group]) -> dict[int, int]:
+    """Epochs of all runs of each part, added up."""
+    return {
+        part: sum(
+            len(group.runs) * group.settings.epochs for group in piece(groups, part, launch.parts)
+        )
+        for part in range(1, launch.parts + 1)
+    }
+
+
+def _how_to_resume(launch: Launch) -> str:
+    return f"to resume: {shell_command('cgm_jax.launch', '--resume', launch.path)}"
+
+
+if __name__ == "__main__":
+    run_program(main)

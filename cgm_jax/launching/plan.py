@@ -1,0 +1,218 @@
+"""What is to be launched, from options: a new sweep in parts, or one that was stopped."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from cgm_jax.config.components import NAMES
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group
+from cgm_jax.config.named import is_own, load_named, require_named
+from cgm_jax.config.shards import MAX_PARTS
+from cgm_jax.host.asked import asked_for
+from cgm_jax.host.command_line import chosen_values, parse
+from cgm_jax.launching.directory import (
+    LAUNCH,
+    Launch,
+    Resources,
+    absolute_path,
+    absolute_words,
+    read_launch,
+)
+from cgm_jax.sweep import SweepOptions
+
+PROGRAM = "python -m cgm_jax.launch"
+ENGINES = ("local", "slurm", "ray")
+OWN = ("out", "resume", "shard", "dry_run", "csv")
+"""Options of a sweep that a launch gives to its parts itself."""
+
+RANGES = {
+    "cores": (1, 10**4),
+    "gpus": (0, 100),
+    "memory": (0.1, 10**5),
+    "minutes": (1, 10**6),
+}
+"""Of resources."""
+
+
+@dataclass(kw_only=True)
+class LaunchOptions:
+    """Train a sweep in parts: on this machine, as a SLURM job array, or on a Ray cluster.
+
+    Options of the sweep follow after `--`, as cgm_jax.sweep has them. In the end the parts are
+    merged in the launch's directory. Parts that are killed, preempted or lost with their node are
+    tried again from their last checkpoint, for as long as they get further.
+    """
+
+    on: Annotated[
+        Literal["local", "slurm", "ray"] | None,
+        tyro.conf.arg(help_behavior_hint="(default: local)"),
+    ] = None
+    """Where parts are trained."""
+
+    jobs: int | None = None
+    """How many parts; at most as many run at once."""
+
+    out: Path | None = None
+    """Directory for everything (default: runs/PRESET-TIME). All machines must have it."""
+
+    resume: Path | None = None
+    """Directory of a launch that was stopped: resume it, with other resources if some are given."""
+
+    cores: int | None = None
+    """Cores of each part (default: local: an equal share; else 1)."""
+
+    gpus: int | None = None
+    """GPUs of each part (default: local: one, where there are any; else none)."""
+
+    memory: float | None = None
+    """GiB of memory for each part (default: local: an equal share; else the scheduler's)."""
+
+    minutes: int | None = None
+    """slurm: time limit of a job, after which it is requeued (default: 60)."""
+
+    sbatch: tuple[str, ...] = ()
+    """slurm: further options of sbatch, such as partition=main account=me."""
+
+    address: str | None = None
+    """ray: of the cluster (default: auto, the one of this machine or of RAY_ADDRESS)."""
+
+
+def planned(options: LaunchOptions, words: Sequence[str]) -> tuple[Launch, list[Group]]:
+    """A launch, and the whole sweep.
+
+    Args:
+        options: of the launch.
+        words: options of the sweep.
+
+    Returns:
+        The launch, with the path `Path()` where none was given; and the groups of all runs.
+
+    Raises:
+        SettingError: something cannot be as it is asked for.
+    """
+    _check(options)
+    if options.resume is None:
+        return _new(options, absolute_words(words))
+    return _resumed(options, options.resume, absolute_words(words))
+
+
+def _check(options: LaunchOptions) -> None:
+    """Check what can be checked of the options alone.
+
+    Raises:
+        SettingError: one is out of its range or does not go with another.
+    """
+    if options.resume is not None:
+        given = [name for name in ("out", "jobs") if getattr(options, name) is not None]
+        if given:
+            raise SettingError(f"resume: a launch resumes as it was begun, without {given[0]}")
+    elif options.jobs is None:
+        raise SettingError("jobs: say how many parts, or --resume DIR")
+    elif not 1 <= options.jobs <= MAX_PARTS:
+        raise SettingError(f"jobs: {options.jobs} is not within [1, {MAX_PARTS}]")
+    for name in ("out", "resume"):
+        if getattr(options, name) == Path():
+            raise SettingError(f"{name}: is empty")
+
+
+def _new(options: LaunchOptions, words: Sequence[str]) -> tuple[Launch, list[Group]]:
+    """A launch, and the whole sweep.
+
+    Raises:
+        SettingError: the sweep is refused, or the directory holds something.
+    """
+    groups, preset = _groups(words)
+    runs = sum(len(group.runs) for group in groups)
+    jobs = options.jobs or 1
+    if jobs > runs:
+        print(f"{jobs} jobs for {runs} runs: there will be {runs}", file=sys.stderr)
+    path = Path() if options.out is None else absolute_path(options.out)
+    launch = Launch(
+        path=path,
+        on=options.on or "local",
+        parts=min(jobs, runs),
+        preset=preset,
+        sweep=tuple(words),
+        resources=_resources(options, Resources()),
+    )
+    if options.out is not None and (path / LAUNCH).exists():
+        before = read_launch(path)
+        if (before.sweep, before.parts) != (launch.sweep, launch.parts):
+            raise SettingError(f"out: {options.out} already holds a launch of another sweep")
+    return launch, groups
+
+
+def _resumed(
+    options: LaunchOptions, path: Path, words: Sequence[str]
+) -> tuple[Launch, list[Group]]:
+    """What was launched in a directory, with the resources that are given now.
+
+    Raises:
+        SettingError: nothing was, or it would run code that the user has not named.
+    """
+    launch = read_launch(path)
+    named = parse(SweepOptions, words, f"{PROGRAM} --")
+    chosen = chosen_values(named)  # own code in it may run from now on
+    others = [name for name in chosen if name not in NAMES]
+    others += [name for name in ("preset", "seeds", *OWN) if getattr(named, name)]
+    if others:
+        raise SettingError(f"resume: a launch resumes as it was begun, without {others[0]}")
+    own = _own_code(parse(SweepOptions, launch.sweep, f"{PROGRAM} --"))
+    for kind, text in _own_code(named):
+        if (kind, text) not in own:
+            raise SettingError(f"{kind}: {launch.path} was launched with something else")
+    for kind, text in own:
+        require_named(kind, text)
+    groups, _ = _groups(launch.sweep)
+    on = options.on or launch.on
+    if on not in ENGINES or not 1 <= launch.parts <= sum(len(group.runs) for group in groups):
+        raise SettingError(f"{launch.path / LAUNCH} is damaged: {launch.parts} parts on {on!r:.20}")
+    resources = _resources(options, launch.resources)
+    return replace(launch, on=on, resources=resources), groups
+
+
+def _resources(options: LaunchOptions, before: Resources) -> Resources:
+    """Resources of before, but for those that are given.
+
+    Raises:
+        SettingError: one is out of its range.
+    """
+    names = ("cores", "gpus", "memory", "minutes", "address")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    if options.sbatch:
+        given["sbatch"] = options.sbatch
+    resources = replace(before, **given)
+    for name, (low, high) in RANGES.items():
+        value = getattr(resources, name)
+        if value is not None and not low <= value <= high:
+            raise SettingError(f"{name}: {value} is not within [{low}, {high}]")
+    return resources
+
+
+def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
+    """The whole sweep and its preset; all code of the user's own in it has been loaded.
+
+    Raises:
+        SettingError: the sweep is refused.
+    """
+    options = parse(SweepOptions, words, f"{PROGRAM} --")
+    for name in OWN:
+        if getattr(options, name):
+            raise SettingError(f"{name}: goes before --, or is the launch's own")
+    asked = asked_for(options)
+    groups = asked.groups or []
+    for kind, text in _own_code(options):
+        importlib.import_module("cgm_jax.envs")  # MJX without its remarks, ahead of Brax
+        load_named(kind, text)
+    return groups, asked.preset
+
+
+def _own_code(options: Any) -> list[tuple[str, str]]:
+    """What of the user's own a sweep names, with the option that names it."""
+    return [(kind, text) for kind in NAMES for text in getattr(options, kind) or () if is_own(text)]

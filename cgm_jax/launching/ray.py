@@ -1,0 +1,136 @@
+"""Engine: tasks on a Ray cluster that is there already; needs the extra `ray`.
+
+A task starts one attempt as a process of the launcher's own interpreter, since the cluster's may
+know nothing of this package, and passes on its exit code, or, if it is cancelled, SIGTERM. Ray
+queues tasks until their resources are free; the task of a lost node is attempted anew elsewhere.
+"""
+
+import importlib
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.launching.directory import Launch, Resources, carried_environment
+from cgm_jax.launching.supervision import Ended
+
+
+class Ray:
+    """Tasks; see `supervision.Engine`."""
+
+    detached = ""
+
+    _launch: Launch
+
+    def __init__(self, resources: Resources) -> None:
+        """Connect to the cluster.
+
+        Raises:
+            SettingError: Ray is missing, or there is no cluster.
+        """
+        try:
+            ray: Any = importlib.import_module("ray")
+        except ImportError:
+            raise SettingError(
+                "on: ray needs Ray, which the extra installs: pip install 'cgm_jax[ray]'"
+            ) from None
+        try:
+            ray.init(
+                address=resources.address,
+                log_to_driver=False,
+                logging_level="error",
+                ignore_reinit_error=True,
+            )
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            text = str(error).strip().partition("\n")[0]
+            raise SettingError(f"address: no Ray cluster at {resources.address}: {text}") from None
+        self._ray = ray
+        self._cores = resources.cores or 1
+        self._tasks: dict[Any, int] = {}
+        options = {
+            "num_cpus": self._cores,
+            "num_gpus": resources.gpus,
+            "memory": None if resources.memory is None else int(resources.memory * 2**30),
+            # The launcher's own rule says when to try again: only while there is progress.
+            "max_retries": 0,
+        }
+        given = {name: value for name, value in options.items() if value is not None}
+        self._attempt = ray.remote(**given)(_make_attempt())
+
+    def begin(self, launch: Launch) -> None:
+        """See `Engine`."""
+        self._launch = launch
+
+    def room(self) -> int:
+        """See `Engine`."""
+        return self._launch.parts
+
+    def start(self, parts: Sequence[int]) -> Sequence[int]:
+        """See `Engine`."""
+        carried = carried_environment()
+        for part in parts:
+            order = self._launch.order(part, self._cores, carried)
+            task = self._attempt.remote(
+                sys.executable, order.to_json(), carried, order.cwd, str(self._launch.path)
+            )
+            self._tasks[task] = part
+        return parts
+
+    def ended(self) -> dict[int, Ended]:
+        """See `Engine`."""
+        if not self._tasks:
+            return {}
+        ready, _ = self._ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=0)
+        return {self._tasks.pop(task): Ended(self._code(task)) for task in ready}
+
+    def _code(self, task: Any) -> int | None:
+        """A task's exit code; None if it has none, since its worker or node was lost.
+
+        Raises:
+            SettingError: a node cannot run parts.
+        """
+        try:
+            return int(self._ray.get(task))
+        except self._ray.exceptions.RayTaskError as error:
+            if isinstance(error.cause, OSError):
+                raise SettingError(f"on: {error.cause}") from None
+            raise
+        except self._ray.exceptions.RayError:
+            return None
+
+    def stop(self) -> None:
+        """See `Engine`."""
+        for task in self._tasks:
+            self._ray.cancel(task)
+
+
+def _make_attempt() -> Callable[..., int]:
+    """The task, with all that it needs inside: workers know nothing of this package."""
+
+    def attempt(interpreter: str, order: str, carried: dict[str, str], cwd: str, out: str) -> int:
+        import os
+        import socket
+        import subprocess
+        import time
+
+        host = socket.gethostname()
+        for path, what in ((interpreter, "interpreter"), (out, "directory")):
+            if not os.path.exists(path):  # noqa: PTH110
+                raise FileNotFoundError(f"the {what} {path} is not there on {host}")
+        child = subprocess.Popen(
+            [interpreter, "-m", "cgm_jax.launching.attempts", order],
+            cwd=cwd if os.path.isdir(cwd) else out,  # noqa: PTH112
+            env={**os.environ, **carried},
+        )
+        try:
+            while child.poll() is None:  # polled, so that a cancellation gets through
+                time.sleep(0.2)
+        except KeyboardInterrupt:
+            child.terminate()
+            deadline = time.monotonic() + 20
+            while child.poll() is None and time.monotonic() < deadline:
+                time.sleep(0.2)
+            raise
+        return child.returncode
+
+    return attempt

@@ -1,0 +1,69 @@
+"""The record of a part's attempts: where each began, and its exit code; one line of JSON an event.
+
+    launched     a launcher has begun; attempts before that no longer count
+    submitted    to a scheduler, as `job`
+    started      an attempt: at which checkpoint (`position`), and where
+    ended        with an exit code; without this line an attempt was lost
+
+Written on whichever machine the attempt is made, so that it tells what a scheduler may not.
+"""
+
+import contextlib
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+Event = dict[str, Any]
+
+
+def append_event(record: Path, event: str, **values: Any) -> None:
+    """Add an event to a part's record of attempts; where that cannot be written, go without."""
+    entry = {"event": event, "time": round(time.time(), 3), **values}
+    with contextlib.suppress(OSError), record.open("a") as file:
+        file.write(json.dumps(entry) + "\n")
+
+
+def events(record: Path) -> list[Event]:
+    """A part's record of attempts, less lines that were torn."""
+    try:
+        lines = record.read_text(errors="replace").splitlines()
+    except OSError:
+        return []
+    found = []
+    for line in lines:
+        with contextlib.suppress(ValueError):
+            found.append(json.loads(line))
+    return [entry for entry in found if isinstance(entry, dict) and "event" in entry]
+
+
+def last_code(record: Path) -> int | None:
+    """The exit code of the last attempt; None if it has none, since it was killed or still runs."""
+    for entry in reversed(events(record)):
+        if entry["event"] == "ended":
+            return entry.get("code")
+        if entry["event"] in ("started", "submitted"):
+            return None
+    return None
+
+
+def position(out: Path) -> list[int]:
+    """Group, epoch and cycle of a part's last finished checkpoint: there an attempt begins."""
+    names = (path.stem for path in (out / "checkpoints").glob("group*_epoch*_cycle*.json"))
+    return max(
+        ([int(number) for number in re.findall("[0-9]+", name)] for name in names), default=[]
+    )
+
+
+def fruitless_attempts(record: Path, out: Path) -> int:
+    """How many attempts in a row, since the launch, began where training still stands."""
+    here, count = position(out), 0
+    for entry in reversed(events(record)):
+        if entry["event"] == "launched":
+            break
+        if entry["event"] == "started":
+            if entry.get("position") != here:
+                break
+            count += 1
+    return count

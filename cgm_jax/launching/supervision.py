@@ -1,0 +1,196 @@
+"""What all engines share: attempts at every part until it is done or cannot be."""
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.interruption import Interruption
+from cgm_jax.launching.attempts import POLL_SECONDS, Step, next_step, was_killed
+from cgm_jax.launching.directory import Launch
+from cgm_jax.launching.progress import JointProgress
+from cgm_jax.launching.record import append_event, fruitless_attempts
+
+MAX_DELAY = 60.0
+"""Seconds before an attempt that follows others without progress, at most."""
+
+PATIENCE_SECONDS = 30.0
+"""From a signal to the end of the launcher, at most: its children take ten to end."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """An attempt's end: its exit code, None if it has none; `final` if somebody wanted it."""
+
+    code: int | None
+    final: bool = False
+
+
+class Engine(Protocol):
+    """What makes attempts: processes, jobs, tasks."""
+
+    @property
+    def detached(self) -> str:
+        """What happens to attempts when the launcher is stopped; "" if they are, too."""
+        ...
+
+    def begin(self, launch: Launch) -> None:
+        """The attempts to come are at the parts of this launch."""
+        ...
+
+    def room(self) -> int:
+        """How many more attempts it takes now; what it cannot run at once it may queue."""
+        ...
+
+    def start(self, parts: Sequence[int]) -> Sequence[int]:
+        """Make an attempt at each of these parts, at most `room()` of them.
+
+        Returns:
+            Those that were taken; the others are offered again later.
+
+        Raises:
+            SettingError: none can be, ever.
+        """
+        ...
+
+    def ended(self) -> dict[int, Ended]:
+        """Attempts that have ended since the last call, by part."""
+        ...
+
+    def stop(self) -> None:
+        """Ask all attempts to end with a checkpoint; `ended` tells when they have."""
+        ...
+
+
+@dataclass
+class Standing:
+    """Where all parts stand.
+
+    Attributes:
+        waiting: parts to be attempted, and the time before which not.
+        running: parts being attempted.
+        codes: exit codes of parts that are done, or cannot be.
+    """
+
+    waiting: dict[int, float]
+    running: set[int] = field(default_factory=set)
+    codes: dict[int, int] = field(default_factory=dict)
+
+    def done(self) -> list[int]:
+        """Parts that are done."""
+        good = (ExitCode.DONE, ExitCode.DIVERGED)
+        return [part for part, code in self.codes.items() if code in good]
+
+
+def supervise(
+    launch: Launch, engine: Engine, epochs: Mapping[int, int], interruption: Interruption
+) -> dict[int, int] | None:
+    """Attempt every part until it is done or cannot be.
+
+    Args:
+        launch: what is launched.
+        engine: what makes attempts.
+        epochs: of all runs of each part, added up.
+        interruption: says when to stop.
+
+    Returns:
+        The exit code of each part; None if a signal came.
+    """
+    engine.begin(launch)
+    for part in epochs:
+        append_event(launch.record(part), "launched")
+    standing = Standing(dict.fromkeys(epochs, 0.0))
+    metrics = {part: launch.out(part) / "metrics.jsonl" for part in epochs}
+    with JointProgress(metrics, epochs) as progress:
+        while standing.waiting or standing.running:
+            if interruption.requested:
+                _stop(engine, standing)
+                return None
+            _start(engine, standing)
+            for part, end in engine.ended().items():
+                _follow_up(launch, standing, part, end)
+            progress.show(standing.done(), len(standing.running))
+            time.sleep(POLL_SECONDS)
+    return standing.codes
+
+
+def _start(engine: Engine, standing: Standing) -> None:
+    now = time.monotonic()
+    due = [part for part, when in standing.waiting.items() if when <= now][: engine.room()]
+    taken = engine.start(due) if due else []
+    for part in due:
+        if part in taken:
+            del standing.waiting[part]
+            standing.running.add(part)
+        else:
+            standing.waiting[part] = now + MAX_DELAY
+
+
+def _follow_up(launch: Launch, standing: Standing, part: int, end: Ended) -> None:
+    """Decide what becomes of a part whose attempt has ended."""
+    standing.running.discard(part)
+    fruitless = fruitless_attempts(launch.record(part), launch.out(part))
+    step = next_step(end.code, fruitless)
+    if end.final and step is Step.AGAIN:
+        step = Step.FAILED
+    if step is Step.AGAIN:
+        delay = min(MAX_DELAY, 2.0**fruitless) if fruitless > 1 else 0.0
+        standing.waiting[part] = time.monotonic() + delay
+        after = f" in {delay:.0f} s" if delay else ""
+        _say(f"part {part}: {_reason(end.code)}; it is tried again{after}")
+        return
+    standing.codes[part] = ExitCode.FAILED if end.code is None else end.code
+    if step is Step.FAILED:
+        why = "it was cancelled" if end.final else _reason(end.code)
+        if not end.final and next_step(end.code, 0) is Step.AGAIN:
+            why += f", and {fruitless} attempts in a row have come no further"
+        said = last_error(launch.log(part))
+        _say(f"part {part}: {why}; {said or f'see {launch.log(part)}'}")
+
+
+def _stop(engine: Engine, standing: Standing) -> None:
+    engine.stop()
+    if engine.detached:
+        _say(engine.detached)
+        return
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while standing.running and time.monotonic() < deadline:
+        standing.running -= set(engine.ended())
+        time.sleep(POLL_SECONDS)
+
+
+def verdict(codes: Mapping[int, int]) -> int:
+    """The exit code of a launch that has come to its end, but not with all parts done."""
+    found = {ExitCode.FAILED if was_killed(code) else code for code in codes.values()}
+    for code in (ExitCode.BAD_INPUT, ExitCode.FAILED, ExitCode.CANNOT_WRITE, ExitCode.STOPPED):
+        if code in found:
+            return code
+    return ExitCode.FAILED
+
+
+def last_error(log: Path) -> str | None:
+    """The last line of a log that says what was wrong."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - 20_000))
+            lines = file.read().decode(errors="replace").splitlines()
+    except OSError:
+        return None
+    found = [line for line in lines if line.startswith("error: ")]
+    return "".join(x if x.isprintable() else "?" for x in found[-1][:500]) if found else None
+
+
+def _reason(code: int | None) -> str:
+    if code is None:
+        return "it was lost"
+    if was_killed(code):
+        number = -code if code < 0 else code - 128
+        return f"it was killed by signal {number}"
+    return f"it ended with exit code {code}"
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

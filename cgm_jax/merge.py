@@ -1,0 +1,66 @@
+"""`python -m cgm_jax.merge DIR... --out DIR`: one directory from the parts of a sweep."""
+
+import contextlib
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.host.command_line import owns_process, parse, run_program
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.session import conclude
+from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.storage.run_directory import RunDirectory
+
+
+@dataclass(kw_only=True)
+class MergeOptions:
+    """Put the parts of a sweep, trained with --shard I/N, together in one directory.
+
+    It is as if the sweep had been trained in one: metrics, policies, checkpoints, config and
+    figures. The parts stay as they are.
+    """
+
+    directories: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """Directories of all parts, in any order."""
+
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(required)")] = (
+        None
+    )
+    """Directory to make."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program on command-line arguments; return its exit code."""
+    options = parse(MergeOptions, arguments, "python -m cgm_jax.merge")
+    out = options.out
+    if out is None or out == Path():
+        raise SettingError("out: name the directory to make")
+    with Interruption(ends_process=owns_process(), first_words="stopping", last_words="stopped"):
+        if out.exists() or out.is_symlink():
+            raise SettingError(f"out: {out} exists already; name another directory")
+        parts = read_parts(options.directories)
+        if names := differences(parts):
+            print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)
+        # Made beside and then renamed, so that `out` is whole or not there.
+        making = out.parent / f".{out.name}.merging"
+        try:
+            with RunDirectory.claimed(making, fresh=False) as directory:
+                rows = write_merged(parts, directory)
+            making.rename(out)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                shutil.rmtree(making)
+            print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
+            return ExitCode.CANNOT_WRITE
+        return conclude(RunDirectory(out), rows)
+
+
+if __name__ == "__main__":
+    run_program(main)

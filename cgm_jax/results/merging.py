@@ -1,0 +1,229 @@
+"""One run directory from the parts of a sweep, as if it had been trained in one.
+
+What is merged are the last checkpoints, since only what they hold is safe: their rows make
+metrics.jsonl, and they go along, so that `sweep --resume` takes the merged directory for what it
+is, a finished sweep. Nothing of the user's own code runs for that.
+"""
+
+import json
+import os
+import re
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cgm_jax.config.components import NAMES
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.shards import Shard
+from cgm_jax.results.statistics import have_finished
+from cgm_jax.storage.checkpoints import (
+    damage,
+    finished_checkpoints,
+    format_of,
+    manifest_path,
+    write_manifest,
+)
+from cgm_jax.storage.files import replacing
+from cgm_jax.storage.metrics import Row, from_lines
+from cgm_jax.storage.run_directory import UNREADABLE, RunDirectory
+
+PROVENANCE = ("versions", "python", "commit", "device", "flags", "variables", "machine", "files")
+"""Of these each part keeps its own, since parts may have been trained on several machines."""
+
+BITS = ("versions", "python", "commit", "device", "flags", "variables", "files")
+"""Those on which results depend, machines aside, which are many where there are parts."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A group of runs that has finished: its last checkpoint and its rows."""
+
+    checkpoint: Path
+    rows: list[Row]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A finished part of a sweep."""
+
+    path: Path
+    config: dict[str, Any]
+    shard: Shard
+    pieces: list[Piece]
+
+
+def read_parts(paths: Sequence[Path]) -> list[Part]:
+    """The parts of a sweep, in order.
+
+    Raises:
+        SettingError: what lies there are not all parts of one sweep, each once and finished.
+    """
+    opened = [(path, RunDirectory.open(path)) for path in paths]
+    shards: dict[Path, Shard] = {}
+    for path, directory in opened:
+        shard = directory.shard()
+        if shard is None:
+            raise SettingError(f"{path} is no part of a sweep: it was trained without --shard")
+        first, other = next(iter(shards.items()), (path, shard))
+        if shard.sweep != other.sweep:
+            raise SettingError(f"{path} is part of another sweep than {first}")
+        if shard.parts != other.parts:
+            raise SettingError(
+                f"{path} is a part of {shard.parts}, but {first} is a part of {other.parts}"
+            )
+        same = [before for before, known in shards.items() if known.part == shard.part]
+        if same or path in shards:
+            raise SettingError(f"part {shard.part} is given twice: {[*same, path][0]} and {path}")
+        shards[path] = shard
+    _check_complete(list(shards.values()))
+    parts = [_read_part(path, directory, shards[path]) for path, directory in opened]
+    return sorted(parts, key=lambda part: part.shard.part)
+
+
+def _check_complete(shards: Sequence[Shard]) -> None:
+    if not shards:
+        raise SettingError("directories: name those of all parts of a sweep")
+    there, parts = {shard.part for shard in shards}, shards[0].parts
+    missing = [str(part) for part in range(1, parts + 1) if part not in there]
+    if missing:
+        more = f", ... ({len(missing)} in all)" if len(missing) > 8 else ""
+        are = "part" if len(missing) == 1 else "parts"
+        raise SettingError(
+            f"{are} {', '.join(missing[:8])}{more} of {parts} missing: train with "
+            f"--shard {missing[0]}/{parts}"
+        )
+
+
+def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
+    config = directory.config()
+    try:
+        pieces = [
+            _read_piece(path, index, entry["runs"]) for index, entry in enumerate(config["groups"])
+        ]
+    except (*UNREADABLE, OSError) as error:
+        if isinstance(error, SettingError):
+            raise
+        text = str(error).partition("\n")[0]
+        raise SettingError(f"{path} cannot be read: {type(error).__name__}: {text}") from None
+    return Part(path, config, shard, pieces)
+
+
+def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece:
+    """What a group has come to; whatever is wrong with it raises."""
+    last = next(reversed(finished_checkpoints(path / "checkpoints", index)), None)
+    epochs, leave_at = runs[0]["epochs"], runs[0]["leave_at"]
+    if last is None:
+        raise _unfinished(path, 0, epochs)
+    format_of(last)
+    if (complaint := damage(last)) is not None:
+        raise SettingError(f"{last} is damaged ({complaint}); {_resume(path)}")
+    with np.load(last, allow_pickle=False) as file:
+        epoch, cycle = (int(number) for number in file["position"])
+        rows = from_lines(bytes(file["rows"]).decode().splitlines())
+    rates = [row["success_rate"] for row in rows]
+    if cycle or not have_finished(rates, len(runs), epoch, epochs, leave_at):
+        raise _unfinished(path, epoch, epochs)
+    names = [run["name"] for run in runs]
+    expected = [(name, number) for number in range(1, epoch + 1) for name in names]
+    if [(row["run"], row["epoch"]) for row in rows] != expected:
+        raise SettingError(f"{last} holds rows of other runs")
+    own = {run["name"]: {kind: run[kind] for kind in NAMES if kind in run} for run in runs}
+    return Piece(last, [row | _among(own[row["run"]], row) for row in rows])
+
+
+def _among(names: dict[str, str], row: Row) -> dict[str, str]:
+    """Names of own code as the config has them now: its files may have moved since."""
+    return {kind: name for kind, name in names.items() if kind in row}
+
+
+def _unfinished(path: Path, epoch: int, epochs: int) -> SettingError:
+    return SettingError(f"{path} is not finished (epoch {epoch} of {epochs}); {_resume(path)}")
+
+
+def _resume(path: Path) -> str:
+    return f"resume it: python -m cgm_jax.sweep --resume {path}"
+
+
+def differences(parts: Sequence[Part]) -> list[str]:
+    """What, of all that results depend on, was not the same for all parts."""
+    return [
+        name
+        for name in BITS
+        if len({json.dumps(part.config.get(name), sort_keys=True) for part in parts}) > 1
+    ]
+
+
+def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:
+    """Put parts together in a directory that holds no sweep yet; return all rows.
+
+    The config is written last: without it a directory holds no sweep, whatever else is there.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    out = directory.path
+    for name in ("policies", "figures", "checkpoints"):  # of a merge that was killed
+        shutil.rmtree(out / name, ignore_errors=True)
+        (out / name).mkdir(parents=True)
+    (out / "policies/improvements").mkdir()
+    config = _merged_config(parts)
+    data = (json.dumps(config, indent=2) + "\n").encode()
+    pieces = [piece for part in parts for piece in part.pieces]
+    for index, piece in enumerate(pieces):
+        name = re.sub(r"^group[0-9]+", f"group{index}", piece.checkpoint.name)
+        _link(piece.checkpoint, out / "checkpoints" / name)
+        manifest = json.loads(manifest_path(piece.checkpoint).read_bytes())
+        write_manifest(out / "checkpoints" / name, manifest["sha256"], manifest["bytes"], data)
+    for part in parts:
+        for name in _policies(part):
+            _copy(part.path / "policies" / name, out / "policies" / name)
+    rows = [row for piece in pieces for row in piece.rows]
+    directory.replace_metrics(rows)
+    directory.replace_config(config)
+    return rows
+
+
+def _policies(part: Part) -> Iterator[Path]:
+    """The policies of a part's runs, as paths in its folder of policies."""
+    names = [run["name"] for group in part.config["groups"] for run in group["runs"]]
+    yield from (Path(f"{name}.npz") for name in names)
+    known = set(names)
+    for path in sorted((part.path / "policies/improvements").glob("*_epoch*.npz")):
+        if path.stem.rpartition("_epoch")[0] in known:
+            yield Path("improvements") / path.name
+
+
+def _merged_config(parts: Sequence[Part]) -> dict[str, Any]:
+    config = {name: value for name, value in parts[0].config.items() if name != "shard"}
+    return {
+        **config,
+        "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
+        "started": min(str(part.config.get("started", "")) for part in parts),
+        "groups": [group for part in parts for group in part.config["groups"]],
+        "parts": [
+            {
+                name: part.config[name]
+                for name in ("command", "started", "resumed", *PROVENANCE)
+                if name in part.config
+            }
+            for part in parts
+        ],
+    }
+
+
+def _link(path: Path, to: Path) -> None:
+    """A second name for a file that is never changed in place; a copy on another file system."""
+    try:
+        os.link(path, to)
+    except OSError:
+        _copy(path, to)
+
+
+def _copy(path: Path, to: Path) -> None:
+    with path.open("rb") as source, replacing(to) as file:
+        shutil.copyfileobj(source, file)

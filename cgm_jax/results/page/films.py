@@ -1,0 +1,53 @@
+"""Videos in run directories, put into the page."""
+
+import base64
+import os
+import sys
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+
+KINDS = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
+
+MAX_BYTES = 32 * 2**20
+"""Of one video; a browser has to keep all of them in memory."""
+
+MAX_FILMS = 24
+
+
+def film_figures(path: Path, label: str) -> str:
+    """All videos of a run directory as HTML; of those left out a line on standard error."""
+    shown = []
+    for file in _films(path):
+        try:
+            size = file.stat().st_size
+            if size > MAX_BYTES or len(shown) == MAX_FILMS:
+                reason = f"{size:,} bytes" if size > MAX_BYTES else f"more than {MAX_FILMS} videos"
+                print(f"{file} is not in the page: {reason}", file=sys.stderr)
+                continue
+            shown.append(_figure(file, f"{label}/{file.relative_to(path)}"))
+        except OSError as error:
+            print(f"{file} is not in the page: {error.strerror}", file=sys.stderr)
+    return "".join(shown)
+
+
+def _films(path: Path) -> Iterator[Path]:
+    """Regular files only: a link in a directory from elsewhere leads anywhere."""
+    for folder, folders, files in os.walk(path):
+        folders.sort()
+        for name in sorted(files):
+            file = Path(folder) / name
+            if file.suffix.lower() in KINDS and not file.is_symlink():
+                yield file
+
+
+def _figure(file: Path, caption: str) -> str:
+    kind = KINDS[file.suffix.lower()]
+    source = f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"
+    name = escape(caption.encode(errors="replace").decode())
+    if kind.startswith("image"):
+        shown = f'<img alt="{name}" src="{source}">'
+    else:
+        told = f'aria-label="{name}" src="{source}"'
+        shown = f"<video controls loop muted playsinline {told}></video>"
+    return f"<figure>{shown}<figcaption>{name}</figcaption></figure>"

@@ -1,0 +1,320 @@
+"""The command: what it refuses, what it takes for granted, and a whole launch on this machine."""
+
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgm_jax import launch as program
+from cgm_jax.config import named
+from cgm_jax.config.fields import SettingError
+from cgm_jax.launching import local, ray, slurm
+from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
+from cgm_jax.launching.local import Local
+from cgm_jax.launching.progress import JointProgress, Rows
+from cgm_jax.launching.slurm import sbatch_options
+from cgm_jax.storage.lock import InUseError, locked
+from cgm_jax.storage.metrics import to_lines
+from tests.cgm_jax.launching.launches import (
+    assert_as_if_never_disturbed,
+    attempts,
+    begun,
+    launch,
+    trainer,
+    uninterrupted,
+    wait_for_checkpoint,
+    wait_until,
+)
+from tests.cgm_jax.sweeps import POINT_MASS, rows
+
+SMOKE = ["--", "--preset", "smoke"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--on", "local", *SMOKE], "jobs: say how many parts"),
+        (["--jobs", "0", *SMOKE], r"jobs: 0 is not within \[1, "),
+        (["--jobs", "2", "--cores", "0", *SMOKE], "cores: 0 is not within"),
+        (["--jobs", "2", "--cores", "9999", *SMOKE], "cores: 9999 are more than the"),
+        (["--jobs", "2", "--gpus", "1", *SMOKE], "gpus: 1 are more than the 0 found here"),
+        (["--jobs", "2", *SMOKE, "--kappa", "-1"], "kappa: -1"),
+        (["--jobs", "2", *SMOKE, "--shard", "1/2"], "shard: goes before --, or is the launch's"),
+        (["--jobs", "2", *SMOKE, "--out", "x"], "out: goes before --"),
+        (["--jobs", "2", "--", "--preset", "none"], "preset: unknown preset 'none'"),
+        (["--jobs", "2", *SMOKE, "--checkpoint-seconds", "-1"], "checkpoint_seconds: -1"),
+        (["--jobs", "2", *SMOKE, "--env", "none.py:X"], "env: .*none.py:X' is not FILE.py:NAME"),
+        (["--resume", "none"], "resume: none holds no launch: launch.json is missing"),
+        (["--resume", "none", "--jobs", "2"], "resume: a launch resumes as it was begun"),
+        (["--on", "ray", "--jobs", "2", *SMOKE], r"on: ray needs Ray, .*'cgm_jax\[ray\]'$"),
+        (["--on", "slurm", "--jobs", "2", *SMOKE], r"on: slurm needs .*'cgm_jax\[slurm\]'$"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_is_made(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], line: str
+) -> None:
+    monkeypatch.setattr(local, "visible_gpus", list)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(SettingError, match=line):
+        program.main(words)
+    assert not list(folder.iterdir())
+
+
+def test_unknown_options_end_with_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (["--jobz", "2"], ["--on", "pbs"], ["--jobs", "2", "--", "--kapa", "1"]):
+        with pytest.raises(SystemExit) as end:
+            program.main(words)
+        assert end.value.code == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not list(folder.iterdir())
+
+
+@pytest.fixture
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[Launch]:
+    """Launches that would have been run."""
+    found: list[Launch] = []
+
+    def run(launch: Launch, *_: Any) -> int:
+        found.append(launch)
+        return 0
+
+    monkeypatch.setattr(program, "_run", run)
+    return found
+
+
+def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(POINT_MASS.partition(":")[0], "mine.py")
+    words = [*SMOKE, "--env", "mine.py:PointMass", "--seeds", "3"]
+    assert program.main(["--jobs", "99", "--cores", "1", "--out", "out", *words]) == 0
+    (folder / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    assert program.main(["--resume", "../out"]) == 0
+    first, again = planned
+    assert first.parts == 6  # one for each run, of c_g 0.1, kappa 4 and 32, three seeds
+    assert first == again == read_launch(folder / "out")
+    own = f"{folder}/mine.py:PointMass"
+    assert again.sweep == ("--preset", "smoke", "--env", own, "--seeds", "3")
+    command = again.command(2)
+    assert command[:3] == [sys.executable, "-m", "cgm_jax.sweep"]
+    assert command[-6:-4] == ["--checkpoint-seconds", "60"]
+    assert command[-4:] == ["--shard", "2/6", "--out", str(folder / "out/parts/2")]
+    # Other resources may be given then; another sweep may not.
+    assert program.main(["--resume", "../out", "--on", "local", "--memory", "2"]) == 0
+    assert planned[-1].resources == Resources(cores=1, memory=2.0)
+    with pytest.raises(SettingError, match="resumes as it was begun, without seeds"):
+        program.main(["--resume", "../out", "--", "--seeds", "2"])
+    with pytest.raises(SettingError, match="already holds a launch of another sweep"):
+        program.main(["--jobs", "2", "--out", "../out", *SMOKE])
+    monkeypatch.chdir(folder)
+    assert program.main(["--jobs", "6", "--out", "out", *words]) == 0  # the same command again
+
+
+def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = folder / "ran"
+    (folder / "x.py").write_text(
+        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\nfrom mine import PointMass\n"
+    )
+    shutil.copy(POINT_MASS.partition(":")[0], "mine.py")
+    own = f"{folder}/x.py:PointMass"
+    theirs = Launch(folder / "out", "local", 2, "smoke", ("--env", own), Resources())
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=r"was never named by you .* name it: --env"):
+        program.main(["--resume", "out"])
+    assert not ran.exists()
+    assert program.main(["--resume", "out", "--", "--env", own]) == 0
+    assert ran.exists()
+    monkeypatch.setattr(named, "_named_now", set())  # as in a new process
+    assert program.main(["--resume", "out"]) == 0
+    (folder / "x.py").write_text("edited = True\n")
+    monkeypatch.setattr(named, "_named_now", set())
+    with pytest.raises(SettingError, match="has changed since you named it"):
+        program.main(["--resume", "out"])
+    assert len(planned) == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"format": 9},
+        {"parts": "2"},
+        {"sweep": "abc", "parts": None},
+        {"resources": {}},
+        {"on": "pbs"},
+        {"parts": 10**9},
+        {"sweep": [1]},
+    ],
+)
+def test_a_damaged_launch_is_refused(
+    folder: Path, planned: list[Launch], change: dict[str, Any]
+) -> None:
+    launch = Launch(folder / "out", "local", 2, "smoke", ("--preset", "smoke"), Resources())
+    launch.path.mkdir()
+    launch.write()
+    path = launch.path / "launch.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(SettingError, match=r"launch.json is damaged"):
+        program.main(["--resume", "out"])
+    assert not planned
+
+
+def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:
+    (folder / "out").mkdir()
+    with locked(folder / "out"), pytest.raises(InUseError):
+        program.main(["--jobs", "2", "--out", "out", *SMOKE])
+
+
+@pytest.mark.parametrize(
+    ("parts", "resources", "rooms", "cores"),
+    [
+        (2, Resources(), 2, 4),
+        (3, Resources(), 3, 2),
+        (99, Resources(), 8, 1),
+        (99, Resources(cores=3), 2, 3),
+        (1, Resources(cores=1), 1, 1),
+        (99, Resources(gpus=1), 4, 2),
+        (99, Resources(gpus=2, cores=1), 2, 1),
+        (99, Resources(gpus=1, cores=4), 2, 4),
+        (2, Resources(gpus=0), 2, 4),
+    ],
+)
+def test_a_machine_of_eight_cores_and_four_gpus_is_shared_out(
+    monkeypatch: pytest.MonkeyPatch, parts: int, resources: Resources, rooms: int, cores: int
+) -> None:
+    monkeypatch.setattr(local, "available_cores", lambda: 8)
+    gpus = ["0", "1", "2", "3"] if resources.gpus is not None else []
+    monkeypatch.setattr(local, "visible_gpus", lambda: gpus)
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    engine = Local(parts, resources)
+    assert (engine.rooms, engine.room(), engine.cores) == (rooms, rooms, cores)
+
+
+def test_gpus_are_given_out_and_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
+    monkeypatch.setattr(local, "available_cores", lambda: 2)
+    show = "import os; print(os.environ['CUDA_VISIBLE_DEVICES'], os.environ['CGM_JAX_MEMORY_MIB'])"
+    monkeypatch.setattr(Launch, "command", lambda *_: [sys.executable, "-I", "-c", show])
+    launch = Launch(tmp_path, "local", 3, "smoke", (), Resources(memory=1.5))
+    launch.write()
+    engine = Local(3, launch.resources)
+    engine.begin(launch)
+    engine.start([1, 2])
+    assert engine.room() == 0
+    ended: dict[int, Any] = {}
+    while len(ended) < 2:
+        ended |= engine.ended()
+    assert engine.room() == 2
+    seen = sorted(launch.log(part).read_text() for part in (1, 2))
+    assert seen == ["GPU-a 1536\n", "GPU-b 1536\n"]
+
+
+def test_sbatch_takes_what_cannot_do_harm() -> None:
+    assert sbatch_options(["partition=gpu,long", "gres=gpu:a100:2", "exclusive"]) == {
+        "partition": "gpu,long",
+        "gres": "gpu:a100:2",
+        "exclusive": True,
+    }
+    for text in ("output=/home/me/.bashrc", "wrap=rm", "comment=a\nrm -r x", "comment=$(rm)"):
+        with pytest.raises(SettingError, match=r"^sbatch: "):
+            sbatch_options([text])
+
+
+def test_other_machines_get_what_they_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/code")
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setenv("HOME", "/home/me")
+    carried = carried_environment()
+    assert carried["PYTHONPATH"] == "/code"
+    assert carried["XDG_STATE_HOME"] == "/home/me/.local/state"  # the list of allowed files
+    assert "CUDA_VISIBLE_DEVICES" not in carried
+
+
+def test_rows_are_read_once_and_anew_when_an_attempt_begins(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.jsonl"
+    found = Rows(path)
+    found.update()
+    assert (found.count, found.success) == (0, {})
+    path.write_text('{"run": "a", "success_rate": 0.5}\n{"run": "b", "succ')
+    found.update()
+    assert (found.count, found.success) == (1, {"a": 0.5})
+    with path.open("a") as file:
+        file.write('ess_rate": null}\n')
+    found.update()
+    assert (found.count, found.success) == (2, {"a": 0.5, "b": None})
+    other = tmp_path / "other"
+    other.write_text('{"run": "a", "success_rate": 0.25}\n')
+    other.replace(path)
+    found.update()
+    assert (found.count, found.success) == (1, {"a": 0.25})
+
+
+def test_progress_is_one_line(tmp_path: Path) -> None:
+    paths = {part: tmp_path / f"{part}.jsonl" for part in (1, 2)}
+    written = [{"run": "a", "success_rate": 1.0}, {"run": "b", "success_rate": 0.0}]
+    paths[1].write_text(to_lines(written))
+    paths[2].write_text('{"run": "c", "success_rate": null}\n')
+    progress = JointProgress(paths, {1: 4, 2: 6})
+    progress.show([], 2)
+    line = "30 % of 10 epochs over all runs; 0 of 2 parts done, 2 running"
+    success = "; success median 50 % of 3 runs (0 % to 100 %)"
+    assert progress.line([], 2) == line + success
+    assert progress.line([2], 1).startswith("80 % of 10 epochs over all runs; 1 of 2 parts done")
+
+
+def test_ray_and_slurm_are_not_imported_without_need() -> None:
+    assert "submitit" not in vars(slurm)
+    assert "ray" not in vars(ray)
+
+
+@pytest.mark.slow
+def test_a_killed_trainer_and_a_stopped_launcher_lose_nothing(tmp_path: Path) -> None:
+    whole, out = uninterrupted(tmp_path / "whole"), tmp_path / "out"
+    command = launch("local", out)
+    with begun(command) as process:
+        killed = wait_for_checkpoint(process, out, 1)
+        os.kill(wait_until(process, lambda: trainer(out, 1), "a trainer"), signal.SIGKILL)
+        wait_for_checkpoint(process, out, 1, after=killed + 5)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 75
+    stopped = attempts(out, 1)
+    assert [code for _, code in stopped] == [-9, 75]
+    assert not (out / "config.json").exists()
+    result = subprocess.run(
+        command, capture_output=True, text=True, check=False
+    )  # the same command
+    assert result.returncode == 0, result.stderr
+    starts = [start for start, _ in attempts(out, 1)]
+    assert len(starts) == 3
+    assert 0 == starts[0] < killed <= starts[1] < starts[2]
+    assert len(result.stdout.splitlines()) == 4 + 1
+    assert_as_if_never_disturbed(whole, out)
+    assert rows(out)
+    again = subprocess.run(
+        command, capture_output=True, text=True, check=False
+    )  # there is nothing to do
+    assert (again.returncode, again.stdout) == (0, result.stdout)

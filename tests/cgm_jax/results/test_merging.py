@@ -1,0 +1,191 @@
+"""Parts of a sweep, made up, put together; real ones are in launching/test_local.py."""
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cgm_jax import merge
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.grid import Group, Run, build_groups
+from cgm_jax.config.shards import cut
+from cgm_jax.results import figures
+from cgm_jax.storage.arrays import write_arrays
+from cgm_jax.storage.checkpoints import damage, finished_checkpoints, write_manifest
+from cgm_jax.storage.metrics import Row, to_lines
+from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.results.figures import made
+from tests.cgm_jax.sweeps import rows
+
+EPOCHS = 2
+OPTIONS = {"curriculum": ["cgm", "full"], "kappa": [4.0], "seed": [0, 1, 2], "epochs": [EPOCHS]}
+
+
+def whole() -> list[Group]:
+    """Six runs of two programs."""
+    return build_groups("smoke", OPTIONS)
+
+
+def row(run: Run, epoch: int, **values: Any) -> Row:
+    (made_up,) = made.run([0.5], curriculum=run.values["curriculum"])
+    return {**made_up, "run": run.name, "epoch": epoch, "physics_warnings": 0, **values}
+
+
+def train(
+    path: Path, groups: list[Group], part: int, parts: int, *, until: int = EPOCHS, **values: Any
+) -> Path:
+    """Make the directory that training a part up to an epoch would leave."""
+    pieces, shard = cut(groups, part, parts)
+    with RunDirectory.claimed(path, fresh=True) as directory:
+        directory.write_config(pieces, "smoke", "1 x cpu", shard=shard)
+        all_rows = []
+        for index, group in enumerate(pieces):
+            own = [row(r, e, **values) for e in range(1, until + 1) for r in group.runs]
+            checkpoint(path / "checkpoints", index, own, until, directory.config_bytes())
+            all_rows += own
+            for run in group.runs:
+                directory.write_policy(run, {"part": np.array(part)})
+                directory.write_improvement(run, 1, {"part": np.array(10 + part)})
+        directory.replace_metrics(all_rows)
+    return path
+
+
+def checkpoint(folder: Path, index: int, own: list[Row], epoch: int, config: bytes) -> None:
+    path = folder / f"group{index}_epoch{epoch:06d}_cycle000000.npz"
+    arrays = {
+        "position": np.array([epoch, 0]),
+        "wall_s": np.array(1.0),
+        "rows": np.frombuffer(to_lines(own).encode(), np.uint8),
+    }
+    with path.open("wb") as file:
+        write_arrays(file, arrays.items())
+    data = path.read_bytes()
+    write_manifest(path, hashlib.sha256(data).hexdigest(), len(data), config)
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> list[Path]:
+    groups = whole()
+    return [train(tmp_path / f"part{part}", groups, part, 3) for part in (1, 2, 3)]
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "draw_figures", lambda _: None)
+
+
+def run(*words: Any) -> int:
+    return merge.main([str(word) for word in words])
+
+
+def test_merged_parts_are_one_sweep(parts: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    first, second, third = parts
+    assert run(third, first, second, "--out", out) == 0
+    directory = RunDirectory.open(out)
+    names = [r.name for group in whole() for r in group.runs]
+    assert [r.name for group in directory.groups() for r in group.runs] == names
+    assert directory.shard() is None
+    assert rows(out) == [entry for part in parts for entry in rows(part)]
+    assert len(rows(out)) == len(names) * EPOCHS
+    for number, name in enumerate(names):
+        part = number // 2 + 1
+        with np.load(out / "policies" / f"{name}.npz") as file:
+            assert file["part"] == part
+        with np.load(out / "policies/improvements" / f"{name}_epoch1.npz") as file:
+            assert file["part"] == 10 + part
+    found = finished_checkpoints(out / "checkpoints")
+    assert [path.name.partition("_")[0] for path in found] == [f"group{i}" for i in range(4)]
+    assert [damage(path) for path in found] == [None] * 4  # the second part has two programs
+    (out / "config.json").write_text("{")  # comes back from a checkpoint, whole
+    assert directory.restore_config() is not None
+    assert [r.name for group in directory.groups() for r in group.runs] == names
+    assert not list(tmp_path.glob("new/.*"))
+
+
+def test_each_part_keeps_what_it_was_trained_with(
+    parts: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = json.loads((parts[1] / "config.json").read_text())
+    config["versions"]["numpy"] = "1.0"
+    (parts[1] / "config.json").write_text(json.dumps(config))
+    assert run(*parts, "--out", tmp_path / "out") == 0
+    assert "bits may differ: parts differ in versions" in capsys.readouterr().err
+    merged = json.loads((tmp_path / "out" / "config.json").read_text())
+    assert [part["versions"]["numpy"] == "1.0" for part in merged["parts"]] == [False, True, False]
+    assert "shard" not in merged
+
+
+def test_runs_that_diverged_are_told_as_one_sweep_would(tmp_path: Path) -> None:
+    groups = whole()
+    bad = train(tmp_path / "a", groups, 1, 2, failure="critic", failed_epoch=1)
+    assert run(bad, train(tmp_path / "b", groups, 2, 2), "--out", tmp_path / "out") == 3
+
+
+def refused(tmp_path: Path, *words: Any) -> str:
+    """The line with which merging is refused; nothing may have been made."""
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(SettingError) as error:
+        run(*words)
+    assert sorted(tmp_path.rglob("*")) == before
+    return str(error.value)
+
+
+def test_what_is_not_all_parts_of_one_sweep_is_refused_by_name(
+    parts: list[Path], tmp_path: Path
+) -> None:
+    out = ["--out", tmp_path / "out"]
+    first, second, third = parts
+    other = build_groups("smoke", {**OPTIONS, "kappa": [5.0]})
+    foreign = train(tmp_path / "foreign", other, 3, 3)
+    halves = train(tmp_path / "half", whole(), 2, 2)
+    again = train(tmp_path / "again", whole(), 1, 3)
+    short = train(tmp_path / "short", whole(), 3, 3, until=1)
+    with RunDirectory.claimed(tmp_path / "alone", fresh=True) as directory:
+        directory.write_config(whole(), "smoke", "1 x cpu")
+    for words, line in {
+        (first, third): "part 2 of 3 missing: train with --shard 2/3",
+        (third,): "parts 1, 2 of 3 missing",
+        (first, second, again): f"part 1 is given twice: {first} and {again}",
+        (first, first, second, third): f"part 1 is given twice: {first} and {first}",
+        (first, second, foreign): f"{foreign} is part of another sweep than {first}",
+        (first, halves): f"{halves} is a part of 2, but {first} is a part of 3",
+        (first, second, short): f"{short} is not finished (epoch 1 of 2); resume it: ",
+        (first, tmp_path / "alone"): f"{tmp_path / 'alone'} is no part of a sweep",
+        (first, tmp_path): f"{tmp_path} holds no sweep",
+        (): "directories: name those of all parts",
+    }.items():
+        assert line in refused(tmp_path, *words, *out)
+
+
+def test_an_out_that_exists_is_left_alone(parts: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    assert "exists already" in refused(tmp_path, *parts, "--out", tmp_path / "out")
+    assert "out: name the directory" in refused(tmp_path, *parts)
+
+
+def test_damaged_and_foreign_checkpoints_are_refused(parts: list[Path], tmp_path: Path) -> None:
+    (last,) = finished_checkpoints(parts[0] / "checkpoints")
+    data = last.read_bytes()
+    last.write_bytes(data[:-1] + b"x")
+    line = refused(tmp_path, *parts, "--out", tmp_path / "out")
+    assert re.search(r"is damaged \(its checksum differs\); resume it", line)
+    own = [row(whole()[0].runs[2], epoch) for epoch in (1, 2)]
+    checkpoint(last.parent, 0, own, EPOCHS, b"{}")
+    line = refused(tmp_path, *parts, "--out", tmp_path / "out")
+    assert line.endswith("holds rows of other runs")
+
+
+def test_a_merge_that_was_killed_leaves_nothing_in_the_way(
+    parts: list[Path], tmp_path: Path
+) -> None:
+    rest = tmp_path / ".out.merging" / "policies"
+    rest.mkdir(parents=True)
+    (rest / "rest.npz").write_text("of another sweep")
+    assert run(*parts, "--out", tmp_path / "out") == 0
+    assert not (tmp_path / "out/policies/rest.npz").exists()
+    assert not rest.exists()

@@ -1,0 +1,164 @@
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cgm_jax import report
+from cgm_jax.config.fields import SettingError
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.results.page.page import unpacked
+from tests.cgm_jax.results.page.made import directory, follow_on, grid, timed_run
+from tests.cgm_jax.sweeps import ROOT
+
+
+def epochs_in(page: Path) -> list[int]:
+    return [run["columns"]["epoch"][-1] for run in unpacked(page.read_text())["runs"]]
+
+
+def test_a_page_is_written_beside_the_metrics_or_where_one_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = grid(tmp_path / "run", seeds=1, epochs=3)
+    assert report.main([str(path)]) == ExitCode.DONE
+    out = tmp_path / "page.html"
+    assert report.main([str(path), "--out", str(out)]) == ExitCode.DONE
+    assert capsys.readouterr().out.split() == [str(path / "report.html"), str(out)]
+    for page in (path / "report.html", out):
+        assert epochs_in(page) == [3] * 7
+        assert unpacked(page.read_text())["reload"] is None
+
+
+def _torn(path: Path) -> None:
+    (path / "config.json").write_text('{"groups": [')
+
+
+def _newer(path: Path) -> None:
+    (path / "config.json").write_text('{"format": 99, "groups": []}')
+
+
+def _without_env(path: Path) -> None:
+    row = timed_run([0.5])[0]
+    del row["env"]
+    (path / "metrics.jsonl").write_text(json.dumps(row) + "\n")
+
+
+def _backwards(path: Path) -> None:
+    rows = timed_run([0.5, 0.6])
+    (path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows[::-1]))
+
+
+def _words(path: Path) -> None:
+    (path / "metrics.jsonl").write_text(json.dumps(timed_run(["much"])[0]) + "\n")  # pyright: ignore
+
+
+def _more_than_all(path: Path) -> None:
+    (path / "metrics.jsonl").write_text(json.dumps(timed_run([1.5])[0]) + "\n")
+
+
+def _beyond_floats(path: Path) -> None:
+    row = timed_run([0.5])[0] | {"env_steps": 10**400}
+    (path / "metrics.jsonl").write_text(json.dumps(row) + "\n")
+
+
+def _no_json(path: Path) -> None:
+    (path / "metrics.jsonl").write_text("epoch 1\n")
+
+
+def _empty(path: Path) -> None:
+    (path / "metrics.jsonl").write_text("")
+
+
+def _not_there(path: Path) -> None:
+    (path / "config.json").unlink()
+
+
+def _link(path: Path) -> None:
+    (path / "figures").symlink_to("/etc")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_not_there, "holds no sweep"),
+        (_torn, "config.json is damaged"),
+        (_newer, "format: 99"),
+        (_without_env, "metrics.jsonl is damaged: KeyError: 'env'"),
+        (_backwards, "not in order"),
+        (_words, "success_rate: 'much'"),
+        (_more_than_all, "success_rate: 1.5"),
+        (_beyond_floats, "env_steps: 1000"),
+        (_no_json, "metrics.jsonl is damaged"),
+        (_empty, "no finished epoch yet; try --follow"),
+        (_link, "symbolic link"),
+    ],
+)
+def test_bad_directories_are_refused_with_one_line(
+    tmp_path: Path, spoil: Callable[[Path], None], message: str
+) -> None:
+    path = directory(tmp_path / "run", timed_run([0.0, 0.5]))
+    spoil(path)
+    with pytest.raises(SettingError) as refused:
+        report.main([str(path)])
+    assert message in str(refused.value)
+    assert not (path / "report.html").exists()
+
+
+def test_bad_options_are_refused(tmp_path: Path) -> None:
+    path = directory(tmp_path / "run", timed_run([0.0, 0.5]))
+    for arguments, message in (
+        ([], "name at least one"),
+        ([str(path), f"{path}/../run"], "named twice"),
+        ([str(path), "--out", str(tmp_path)], "is a directory"),
+        ([str(path), "--out", str(tmp_path / "none/page.html")], "is no directory"),
+    ):
+        with pytest.raises(SettingError, match=message):
+            report.main(arguments)
+
+
+def test_a_followed_sweep_is_written_again_until_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report, "LOOK_SECONDS", 0.02)
+    path = directory(tmp_path / "run", timed_run([0.0, 0.5]), epochs=4)
+    out, codes = tmp_path / "page.html", []
+    arguments = [str(path), "--follow", "--out", str(out)]
+    thread = threading.Thread(target=lambda: codes.append(report.main(arguments)))
+    thread.start()
+    _await(lambda: out.exists())
+    assert epochs_in(out) == [2]
+    assert unpacked(out.read_text())["reload"] == report.RELOAD_SECONDS
+    follow_on(path, 1)
+    _await(lambda: epochs_in(out) == [3])
+    follow_on(path, 1)
+    thread.join(timeout=30)
+    assert codes == [ExitCode.DONE]
+    assert epochs_in(out) == [4]
+    assert unpacked(out.read_text())["reload"] is None
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_following(tmp_path: Path) -> None:
+    path = directory(tmp_path / "run", timed_run([0.0, 0.5]), epochs=4)
+    command = [sys.executable, "-m", "cgm_jax.report", str(path), "--follow"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "following; Ctrl-C ends it\n"
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+        assert process.wait(timeout=30) == ExitCode.STOPPED
+    assert rest == "stopping\n"
+    assert unpacked((path / "report.html").read_text())["reload"] is None
+
+
+def _await(happened: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

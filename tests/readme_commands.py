@@ -1,0 +1,94 @@
+"""Every command and program of README.md, by an interpreter that has the package installed.
+
+`python -m tests.readme_commands PYTHON` runs them, in order and with the smallest settings, in a
+folder that has an `envs` and an `assets` of its own: `make test-wheel` does, from a wheel alone.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+PLACEHOLDER = re.compile(r"\b(DIR|COMMIT|FILE|NAME)\b")
+LEFT_OUT = ("cgm_jax.benchmark", "stable_baselines3", "npz")
+"""The benchmark wants a machine to itself; Stable-Baselines3 is `make test-sb3`; the policy that is
+evaluated in numpy is tests/cgm_jax/storage/test_policies.py."""
+
+
+def commands() -> list[list[str]]:
+    """Commands of the package, as words, with the smallest settings in place of theirs."""
+    lines = re.findall(r"^ {4}(python -m cgm_jax\..*)$", README, re.MULTILINE)
+    return [
+        _smallest(shlex.split(line, comments=True)[1:])
+        for line in lines
+        if not PLACEHOLDER.search(line) and not any(word in line for word in LEFT_OUT)
+    ]
+
+
+def programs() -> list[str]:
+    """Python programs that stand on their own."""
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    return [block for block in blocks if not any(word in block for word in LEFT_OUT)]
+
+
+def _smallest(words: list[str]) -> list[str]:
+    if words[1] not in ("cgm_jax.train", "cgm_jax.sweep") or "--resume" in words:
+        return words
+    for option in ("--preset", "--epochs"):
+        if option in words:
+            place = words.index(option)
+            del words[place : place + 2]
+    return [*words, "--preset", "smoke"]
+
+
+def make_clashing(folder: Path) -> None:
+    """Put files into a folder whose names are those of folders in this repository."""
+    for name in ("envs", "assets"):
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").write_text("raise ImportError('the wrong one')\n")
+        (folder / f"{name}.py").write_text("raise ImportError('the wrong one')\n")
+
+
+def main(python: str) -> int:
+    """Run all; return 1 if one has failed."""
+    failed = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make_clashing(folder)
+        shutil.copytree(ROOT / "tests/examples", folder / "tests/examples")
+        variables = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        variables["XDG_STATE_HOME"] = str(folder / "state")
+        for words in [*commands(), *(["-c", program] for program in programs())]:
+            began = time.monotonic()
+            result = subprocess.run(
+                [python, *words],
+                cwd=folder,
+                env=variables,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            verdict = "failed" if result.returncode else "passed"
+            failed += result.returncode != 0
+            shown = shlex.join(words).partition("\n")[0]
+            print(f"{verdict} in {time.monotonic() - began:.0f} s: {shown}", flush=True)
+            if result.returncode:
+                print("".join(_last_lines(result.stdout + result.stderr)), flush=True)
+    print(f"{len(commands()) + len(programs()) - failed} passed, {failed} failed")
+    return min(failed, 1)
+
+
+def _last_lines(text: str) -> Iterator[str]:
+    yield from (f"    {line}\n" for line in text.splitlines()[-20:])
+
+
+if __name__ == "__main__":
+    sys.exit(main(str(Path(sys.argv[1]).absolute())))
