@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
+.PHONY: setup sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx pretrained test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -38,6 +38,20 @@ $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	$(VENV)-sb3/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --requirement requirements.lock --requirement tests/sb3-requirements.txt
 	touch $@
+
+# onnx and onnxruntime are larger than all else that tests need.
+test-onnx: $(VENV)-onnx/.installed
+	$(VENV)-onnx/bin/python -m pytest tests/cgm_jax/results/test_onnx_model.py $(ARGS)
+
+$(VENV)-onnx/.installed: requirements.lock tests/onnx-requirements.txt
+	$(PYTHON) -m venv $(VENV)-onnx
+	$(VENV)-onnx/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/onnx-requirements.txt
+	touch $@
+
+# The policies that come with the package: trains, chooses and measures them anew.
+pretrained: setup
+	$(RUN) -m experiments.pretrained $(ARGS)
 
 # TensorBoard, Weights & Biases and trackio are large, too. What they read back of what was tracked.
 test-tracking: $(VENV)-tracking/.installed

@@ -1,7 +1,8 @@
 """Curriculum goal masking (CGM) for goal-conditioned reinforcement learning, in JAX.
 
 Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.launch` (a
-sweep in parts) and `.merge`, `.evaluate`, `.report`, `.benchmark`. Behind them, in rooms:
+sweep in parts) and `.merge`, `.evaluate`, `.export`, `.report`, `.benchmark`. Behind
+them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
@@ -15,7 +16,8 @@ sweep in parts) and `.merge`, `.evaluate`, `.report`, `.benchmark`. Behind them,
     machine/     what the process was given: cores, memory
     launching/   many processes for one sweep: this machine, SLURM, Ray
     results/     what is made of runs: figures, a page, merged parts, measured policies, videos,
-                 trackers
+                 trackers, ONNX
+    pretrained/  policies that come with the package
     measuring/   how fast it is: what the benchmark measures
     gymnasium/   for other libraries, without JAX: CGM as a wrapper, names of the Fetch tasks
 
@@ -24,7 +26,7 @@ may change with any version:
 
     from cgm_jax.agents.ddpg import DDPG
     from cgm_jax.agents.gradients import ADAM, descend
-    from cgm_jax.agents.networks import apply_actor, initial_actor
+    from cgm_jax.agents.networks import apply_actor, init_actor
     from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
     from cgm_jax.agents.sac import SAC
     from cgm_jax.agents.td3 import TD3
@@ -35,10 +37,12 @@ may change with any version:
     from cgm_jax.curricula.cgm import CGM
     from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
     from cgm_jax.envs import ENGINES, TASKS, GoalEnvironment, StartableEnvironment, make
+    from cgm_jax.envs import JudgingEnvironment, RenderableEnvironment
     from cgm_jax.evaluate import main
     from cgm_jax.gymnasium import GoalMasking, VectorGoalMasking
     from cgm_jax.gymnasium.stable_baselines3 import CurriculumEvalCallback
     from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
+    from cgm_jax.pretrained import pretrained_policy
     from cgm_jax.replay.protocol import Relabelling, Transitions
     from cgm_jax.replay.ring import Episodes, Replay
     from cgm_jax.report import main

@@ -1,6 +1,8 @@
 """`python -m cgm_jax.evaluate DIR`: success of trained policies, with a confidence interval.
 
-`--video` also writes a video of the best run; `--random` evaluates random actions, not policies.
+DIR/policies/NAME.npz, or any other policy file, serves as well, and so does `--pretrained TASK`,
+which comes with the package. `--video` also writes a video of the best one, `--view` shows it in
+MuJoCo's viewer; `--random` evaluates random actions, not policies.
 """
 
 import sys
@@ -11,12 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import name_own_code, owns_process, parse, run_program
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.pretrained import NAMES as PRETRAINED
+from cgm_jax.pretrained import pretrained_policy
+from cgm_jax.results.chosen import chosen_policies, named_code
 from cgm_jax.results.plan import Plan
 from cgm_jax.results.statistics import wilson_interval
 
@@ -32,21 +36,27 @@ WIDTH_STEP, MAX_WIDTH = 64, 1280
 
 @dataclass(kw_only=True)
 class EvaluateOptions:
-    """Run the policies of a sweep without noise, and report their success."""
+    """Run trained policies without noise, and report their success."""
 
-    directory: Annotated[Path | None, tyro.conf.Positional] = None
-    """Directory that a sweep or a training run has written."""
+    source: Annotated[Path | None, tyro.conf.Positional] = None
+    """Directory that a sweep or a training run has written, or one policy file (.npz)."""
 
     run: str | None = None
     """Evaluate only the run of this name (default: all)."""
 
+    pretrained: Annotated[
+        str | None, tyro.conf.arg(metavar=f"{{{','.join(PRETRAINED)}}}", help_behavior_hint="")
+    ] = None
+    """Evaluate the policy of this task that comes with the package."""
+
     random: bool = False
-    """Take uniformly random actions in --env instead of a directory's policies."""
+    """Take uniformly random actions in --env instead of a policy's."""
 
     env: tuple[str, ...] | None = None
-    """For --random: reach, push, pick_and_place, or FILE.py:FACTORY of your own. With a directory:
-    a file that its policies were trained on, if it has moved, was edited, or was never named on
-    this machine; so --curriculum, --agent and --relabelling."""
+    """For --random, and for a policy file that lies in no run directory: reach, push,
+    pick_and_place, or FILE.py:FACTORY of your own. With a directory: a file that its policies were
+    trained on, if it has moved, was edited, or was never named on this machine; so --curriculum,
+    --agent and --relabelling."""
 
     curriculum: tuple[str, ...] | None = None
     """See --env."""
@@ -70,10 +80,15 @@ class EvaluateOptions:
     """Goal axes that count as achieved, such as z or xy (default: none, the full goal)."""
 
     video: Path | None = None
-    """Video of the best run's first episodes, an .mp4 or .gif file (Fetch only)."""
+    """Video of the best policy's first episodes, an .mp4 or .gif file: of the Fetch tasks, or of an
+    environment of your own with render_frame(state, width, height)."""
+
+    view: bool = False
+    """Show them in MuJoCo's viewer instead, until its window is closed (Fetch tasks; needs a
+    display)."""
 
     video_episodes: int = 5
-    """Episodes in the video."""
+    """Episodes in the video or the viewer."""
 
     video_width: int = 640
     """Width of the video in pixels, a multiple of 64."""
@@ -84,18 +99,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
     plan = _plan(options)
-    name_own_code(_named(options))
+    name_own_code(named_code(options))
     with Interruption(
         ends_process=owns_process(), first_words="stopping", last_words="stopped"
     ) as interruption:
         prepare_jax()
         outcomes = _evaluate(options, plan)
         for line in _report(outcomes, options.mask):
-            print(line)
+            print(line, flush=True)
+        best = max(outcomes, key=lambda name: outcomes[name].success_rate)
         if options.video is not None:
             interruption.expendable = False  # there are a file and an encoder to clear away
-            best = max(outcomes, key=lambda name: outcomes[name].success_rate)
             print(_write_video(best, outcomes[best], len(outcomes), options, interruption))
+        if options.view:
+            interruption.expendable = False
+            _view(outcomes[best], options.mask, interruption)
     return 0
 
 
@@ -108,12 +126,29 @@ def _check(options: EvaluateOptions) -> None:
     if not 1 <= options.video_episodes <= MAX_VIDEO_EPISODES:
         bounds = f"[1, {MAX_VIDEO_EPISODES}]"
         raise SettingError(f"video_episodes: {options.video_episodes} is not within {bounds}")
-    if options.random and (options.directory is not None or options.run is not None):
-        raise SettingError("random: goes with --env, not with a directory or a run")
+    chosen = {
+        "random": options.random,
+        "pretrained": options.pretrained is not None,
+        "a directory or a file": options.source is not None,
+    }
+    if sum(chosen.values()) > 1:
+        given = " and ".join(name for name, is_chosen in chosen.items() if is_chosen)
+        raise SettingError(f"source: {given} do not go together")
+    if not any(chosen.values()):
+        raise SettingError(
+            "source: name a run directory or a policy file, or give --pretrained TASK, "
+            "or --random --env TASK"
+        )
+    if options.run is not None and options.source is None:
+        raise SettingError("run: goes with a run directory")
     if options.random and len(options.env or ()) != 1:
         raise SettingError("env: --random needs one")
-    if not options.random and options.directory is None:
-        raise SettingError("directory: name one to evaluate its policies, or give --random --env")
+    if options.pretrained is not None:
+        pretrained_policy(options.pretrained)
+        if options.env:
+            raise SettingError("env: --pretrained names its task itself")
+    if options.view and options.video is not None:
+        raise SettingError("view: shows what --video writes; give one of them")
     if options.video is not None:
         _check_video(options.video, options.video_width)
 
@@ -129,41 +164,37 @@ def _check_video(path: Path, width: int) -> None:
 
 
 def _plan(options: EvaluateOptions) -> Plan:
+    shown = options.view or options.video is not None
     return Plan(
         episodes=options.episodes,
         seed=options.seed,
         mask=options.mask,
-        recorded=0 if options.video is None else min(options.video_episodes, options.episodes),
+        recorded=min(options.video_episodes, options.episodes) if shown else 0,
+        view=options.view,
         engine=options.engine,
     )
 
 
 def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
     from cgm_jax.host.progress import CountProgress
-    from cgm_jax.results.policies import evaluate_directory, evaluate_random
+    from cgm_jax.results.policies import evaluate_policies, evaluate_random
     from cgm_jax.storage.run_directory import RunDirectory
 
-    if options.video is not None:
-        from cgm_jax.envs.rendering import RenderingError, check_rendering
-
-        try:  # now, and not after the evaluation
-            check_rendering()
-        except RenderingError as error:
-            raise SettingError(f"video: {error}") from None
-    named = _named(options)
-    with CountProgress("episodes") as progress:
-        if options.directory is None:
+    named = named_code(options)
+    if options.random:
+        with CountProgress("episodes") as progress:
             settings = Settings(env=named["env"][0])
             return {"random": evaluate_random(settings, plan, progress.show)}
-        if (restored := RunDirectory(options.directory).restore_config()) is not None:
-            print(restored, file=sys.stderr)
-        directory = RunDirectory.open(options.directory)
-        moved = directory.moved(named)
-        return evaluate_directory(directory, plan, options.run, moved, progress.show)
-
-
-def _named(options: EvaluateOptions) -> dict[str, list[str]]:
-    return {setting: list(getattr(options, setting) or ()) for setting in NAMES}
+    source = options.source
+    if (
+        source is not None
+        and source.is_dir()
+        and (restored := RunDirectory(source).restore_config()) is not None
+    ):
+        print(restored, file=sys.stderr)
+    policies = chosen_policies(source, options.pretrained, options.run, named)
+    with CountProgress("episodes") as progress:
+        return evaluate_policies(policies, plan, progress.show)
 
 
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
@@ -193,18 +224,18 @@ def _write_video(
     interruption: Interruption,
 ) -> str:
     """Write the video, and say what is in it."""
-    from cgm_jax.envs.fetch import FetchEnvironment
     from cgm_jax.host.progress import CountProgress
     from cgm_jax.results.video import count_frames, video_frames, write_video
 
     recording, path = outcome.recording, options.video
-    if recording is None or path is None or not isinstance(outcome.env, FetchEnvironment):
+    if recording is None or path is None:
         raise SettingError("video: nothing was recorded")
     shown = int(recording.valid.sum())
     if not shown:
         return f"{path} is not written: no valid episode among the first {options.video_episodes}"
     solved = int((recording.achieved[:, -1] & recording.valid).sum())
-    frames = video_frames(outcome.env, recording, options.mask, options.video_width)
+    env: Any = outcome.env  # of which the plan knows that it can be rendered
+    frames = video_frames(env, recording, options.mask, options.video_width)
     try:
         with CountProgress("frames") as progress:
             write_video(path, _watched(frames, count_frames(recording), progress, interruption))
@@ -213,6 +244,32 @@ def _write_video(
     episodes = f"{shown} episode{'s' if shown > 1 else ''}"
     which = f"{name}, the best of {runs}" if runs > 1 else name
     return f"{path}: {episodes} of {which}; the goal is achieved in {solved}"
+
+
+def _view(outcome: "Outcome", mask: str, interruption: Interruption) -> None:
+    """Show the recorded episodes until the window is closed or a signal comes."""
+    import numpy as np
+
+    from cgm_jax.envs.fetch import FetchEnvironment
+    from cgm_jax.envs.viewer import play
+    from cgm_jax.results.policies import goal_mask
+
+    recording, env = outcome.recording, outcome.env
+    if recording is None or not isinstance(env, FetchEnvironment):
+        raise SettingError("view: nothing was recorded")
+    valid, goals = np.asarray(recording.valid), np.asarray(recording.desired_goal)
+    if not valid.any():
+        print("no valid episode to show")
+        return
+    play(
+        env.scene,
+        env.physics.positions(recording.states)[:, valid],
+        goals[valid],
+        np.asarray(recording.achieved)[valid],
+        goal_radius=env.distance_threshold,
+        mask=goal_mask(mask, goals.shape[-1]).tolist(),
+        stopped=lambda: interruption.requested,
+    )
 
 
 def _watched(

@@ -25,13 +25,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     place = words.index("--") if "--" in words else len(words)
     options = parse(LaunchOptions, words[:place], PROGRAM)
+    launch, groups = planned(options, words[place + 1 :])
+    engine = _engine(launch)
+    # Only now, since Ray puts signal handlers of its own in the place of others when it starts.
     with Interruption(
         patience=PATIENCE_SECONDS + 5,
         ends_process=owns_process(),
         first_words="stopping; a second Ctrl-C: at once",
     ) as interruption:
-        launch, groups = planned(options, words[place + 1 :])
-        engine = _engine(launch)
         if launch.path == Path():
             launch = replace(launch, path=absolute_path(new_directory(launch.preset)))
         fresh = not (launch.path / LAUNCH).exists()

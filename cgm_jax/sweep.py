@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cgm_jax.host.asked import asked_for, part_of
+from cgm_jax.host.asked import asked_for
 from cgm_jax.host.command_line import TrainingOptions, parse, run_program
 from cgm_jax.host.session import train_groups
 
@@ -33,8 +33,7 @@ class SweepOptions(TrainingOptions):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SweepOptions, arguments, "python -m cgm_jax.sweep")
-    asked = asked_for(options)
-    return train_groups(options, asked if options.shard is None else part_of(asked, options.shard))
+    return train_groups(options, asked_for(options))
 
 
 if __name__ == "__main__":

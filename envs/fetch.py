@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env, State
 
+from cgm_jax.envs.goals import is_achieved
 from cgm_jax.envs.mocap_controller import Gripper, control_target
 from cgm_jax.envs.observations import fetch_observation
 from cgm_jax.envs.physics.protocol import Physics, PhysicsState
+from cgm_jax.envs.quiet_import import Env, State
 from cgm_jax.envs.scene import Scene
 from cgm_jax.envs.tasks import Task
 
@@ -135,7 +136,8 @@ class FetchEnvironment(Env):
     def _state(self, physics_state: PhysicsState, desired_goal: jax.Array) -> State:
         sensor = "object_position" if self.task.has_object else "grip_position"
         achieved_goal = self._reading(physics_state, sensor)
-        achieved = jnp.linalg.norm(achieved_goal - desired_goal) < self.distance_threshold
+        whole = jnp.ones_like(desired_goal)
+        achieved = is_achieved(desired_goal, whole, achieved_goal, self.distance_threshold)
         return State(
             pipeline_state=physics_state,  # pyright: ignore[reportArgumentType]
             obs={

@@ -1,11 +1,14 @@
 """What an environment must offer to be trained on, and what more it may offer."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
-from brax.envs.base import State
+import numpy as np
+
+from cgm_jax.envs.quiet_import import State
 
 
+@runtime_checkable
 class GoalEnvironment(Protocol):
     """A goal-conditioned environment of pure functions, for one episode at a time.
 
@@ -16,7 +19,8 @@ class GoalEnvironment(Protocol):
     A goal is achieved where the Euclidean distance of achieved and desired goal is below
     `distance_threshold`; a masked goal where the distance over its kept dimensions is. The
     trainer computes rewards from that rule and does not read `State.reward`; nor does it
-    read `State.done`, since every episode takes exactly `episode_length` steps.
+    read `State.done`, since every episode takes exactly `episode_length` steps. Other rules:
+    `JudgingEnvironment`.
 
     An engine that detects broken physics sets `State.metrics["physics_warnings"]` to
     something above 0; the trainer then drops the episode, as it drops non-finite ones.
@@ -55,6 +59,47 @@ class GoalEnvironment(Protocol):
         ...
 
 
+class JudgingEnvironment(GoalEnvironment, Protocol):
+    """An environment with rules of its own instead of those of distance and of length.
+
+    All are optional, and each is recognised by its name. The functions are pure, for one episode.
+
+    `goal_tolerance` [n], an array: a goal is achieved where the distance, each dimension measured
+    in its tolerance, is below 1, so where sum_i ((achieved_i - desired_i) / tolerance_i)^2 < 1.
+    `goal_success` says so by any other rule; there is one of the two at most.
+    `goal_reward` replaces the reward of 0 for success and -1 otherwise in what the agents learn
+    from; its values lie within `reward_range`, a pair (least, greatest).
+    `is_terminal` ends episodes early: whatever the goal, nothing is to be had after that state.
+
+    Under a mask the functions of goals get a desired goal that, in masked dimensions, is the
+    achieved one. Hindsight asks them about other goals than those of the episode.
+    `distance_threshold` remains the scale of goals: of normalised inputs, and for curricula.
+    """
+
+    @property
+    def goal_tolerance(self) -> jax.Array:
+        """What each dimension of a goal may be off, [n]."""
+        ...
+
+    def goal_success(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        """Whether a goal [n] is achieved, a bool scalar."""
+        ...
+
+    @property
+    def reward_range(self) -> tuple[float, float]:
+        """Least and greatest value of `goal_reward`."""
+        ...
+
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        """The reward of a step that achieves a goal [n], a float scalar."""
+        ...
+
+    def is_terminal(self, state: State) -> jax.Array:
+        """Whether the episode ends in this state, a bool scalar."""
+        ...
+
+
+@runtime_checkable
 class StartableEnvironment(GoalEnvironment, Protocol):
     """An environment whose episodes can also begin in a state that an earlier one visited.
 
@@ -65,5 +110,20 @@ class StartableEnvironment(GoalEnvironment, Protocol):
         """Begin an episode in `state`, as it is, with the goal that it holds.
 
         Whatever counts within an episode, such as steps or warnings, begins anew.
+        """
+        ...
+
+
+class RenderableEnvironment(GoalEnvironment, Protocol):
+    """An environment whose episodes can be shown as a video.
+
+    Optional: `python -m cgm_jax.evaluate ... --video` needs it.
+    """
+
+    def render_frame(self, state: State, width: int, height: int) -> np.ndarray:
+        """Draw one concrete state as a frame [height, width, 3] of uint8.
+
+        On the host and outside of any traced function: arrays of the state are numpy's. A video
+        shows 25 frames, one per step, in a second.
         """
         ...

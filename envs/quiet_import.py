@@ -1,7 +1,7 @@
-"""Imports MJX without its remark about Warp.
+"""Brax's states and MJX, imported without MJX's remark about Warp.
 
 `mujoco.mjx` prints to standard output when the optional Warp engine is not installed, which is
-the normal case. Importing this module first keeps that out of the output of every program.
+the normal case; Brax imports it. What needs either imports this module first.
 """
 
 import contextlib
@@ -9,3 +9,7 @@ import io
 
 with contextlib.redirect_stdout(io.StringIO()):
     import mujoco.mjx  # noqa: F401
+
+from brax.envs.base import Env, State
+
+__all__ = ["Env", "State"]

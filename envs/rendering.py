@@ -123,9 +123,7 @@ class Renderer:
         model = scene.model
         self._model, self._data = model, mujoco.MjData(model)
         self._goal_radius = goal_radius
-        table = model.geom("table")
-        self._low = table.pos + table.size * (-1, -1, 1)
-        self._high = table.pos + table.size + (0, 0, WORKSPACE_HEIGHT)
+        self._low, self._high = workspace(model)
         self._area = mujoco.MjrRect(0, 0, width, height)
         self._picture = mujoco.MjvScene(model, maxgeom=model.ngeom + EXTRA_GEOMS)
         self._camera = mujoco.MjvCamera()
@@ -171,7 +169,7 @@ class Renderer:
         self._picture.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = sum(mask) > 1
         shapes = goal_shapes(np.asarray(goal), mask, self._goal_radius, self._low, self._high)
         for shape in shapes:
-            self._draw(shape, GREEN if achieved else RED)
+            add_shape(self._picture, shape, GREEN if achieved else RED)
         pixels = np.empty((self._area.height, self._area.width, 3), np.uint8)
         self._surface.make_current()
         mujoco.mjr_render(self._area, self._picture, self._context)
@@ -198,20 +196,29 @@ class Renderer:
         """Free the drawing surface."""
         self.close()
 
-    def _draw(self, shape: Shape, colour: tuple[float, float, float]) -> None:
-        geom = self._picture.geoms[self._picture.ngeom]
-        size = np.zeros(3)
-        size[: len(shape.size)] = shape.size
-        mujoco.mjv_initGeom(
-            geom,
-            shape.kind.value,
-            size,
-            shape.position,
-            shape.rotation.ravel(),
-            np.array([*colour, shape.opacity], np.float32),
-        )
-        geom.emission = 0.3
-        self._picture.ngeom += 1
+
+def add_shape(picture: mujoco.MjvScene, shape: Shape, colour: tuple[float, float, float]) -> None:
+    """Add a shape to what MuJoCo is to draw."""
+    geom = picture.geoms[picture.ngeom]
+    size = np.zeros(3)
+    size[: len(shape.size)] = shape.size
+    mujoco.mjv_initGeom(
+        geom,
+        shape.kind.value,
+        size,
+        shape.position,
+        shape.rotation.ravel(),
+        np.array([*colour, shape.opacity], np.float32),
+    )
+    geom.emission = 0.3
+    picture.ngeom += 1
+
+
+def workspace(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest corner [3] of the workspace, over which masked axes extend."""
+    table = model.geom("table")
+    low = table.pos + table.size * (-1, -1, 1)
+    return low, table.pos + table.size + (0, 0, WORKSPACE_HEIGHT)
 
 
 def check_size(scene: Scene, width: int, height: int) -> None:

@@ -3,6 +3,7 @@
 import atexit
 import os
 import shutil
+import sys
 import tempfile
 
 # Tests compile many small programs and run them briefly.
@@ -15,13 +16,20 @@ atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
 from jaxtyping import install_import_hook  # noqa: E402
 
-# Shapes and types that annotations of these modules tell are checked at every call in tests.
-CHECKED = ("cgm_jax.agents.networks", "cgm_jax.curricula.goals")
-install_import_hook(CHECKED, "beartype.beartype")
+from tests import typechecking  # noqa: E402
+
+# Shapes and types that annotations in these rooms tell are checked at every call in tests.
+CHECKED = (
+    *(f"cgm_jax.{room}" for room in ("agents", "curricula", "replay", "loop")),
+    "cgm_jax.envs.goals",
+)
+# By a name of its own: pytest makes another module `tests` than the one that this imports.
+sys.modules["typechecking"] = typechecking
+install_import_hook(CHECKED, "typechecking.check")
 
 import jax  # noqa: E402
 
 # Programs of this process are not worth keeping; those of processes that tests start are.
 jax.config.update("jax_enable_compilation_cache", False)
 
-import cgm_jax.envs  # noqa: E402, F401 -- imports MJX without its remarks, ahead of Brax
+import cgm_jax.envs.quiet_import  # noqa: E402, F401 -- ahead of Brax, whose imports it silences

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.agents.gradients import (
     ADAM,
@@ -27,11 +28,12 @@ from cgm_jax.agents.networks import (
     apply_actor,
     apply_critic,
     apply_critics,
-    initial_actor,
-    initial_critic,
+    init_actor,
+    init_networks,
 )
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.common import Common
+from cgm_jax.config.fields import settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
 
 
@@ -53,7 +55,7 @@ class DDPG(Agent[DDPGState]):
 
     actor_learning_rate: float = traced(1e-3, "Adam step size of the actor", 0)
     critic_learning_rate: float = traced(1e-3, "Adam step size of the critics", 0)
-    discount: float = traced(0.98, "discount factor gamma", 0, 0.9999)
+    discount: float = shared(Common, "discount")
     target_rate: float = traced(0.05, "how far targets move towards the networks", 0, 1)
     action_penalty: float = traced(1.0, "weight of mean squared action in the actor loss", 0)
     hidden_layers: tuple[int, ...] = static((256, 256, 256), "widths of hidden layers", 1, 10**5)
@@ -69,10 +71,7 @@ class DDPG(Agent[DDPGState]):
             SettingError: actor_update_every does not divide updates_per_cycle.
         """
         check_rounds(self.actor_update_every, sizes)
-        actor_key, *critic_keys = jax.random.split(key, 1 + self.critics)
-        shape = (self.hidden_layers, sizes.inputs, sizes.action)
-        actor = initial_actor(actor_key, *shape)
-        critic = tuple(initial_critic(critic_key, *shape) for critic_key in critic_keys)
+        actor, critic = init_networks(key, init_actor, self.critics, self.hidden_layers, sizes)
         return DDPGState(
             actor=actor,
             critic=critic,
@@ -83,12 +82,19 @@ class DDPG(Agent[DDPGState]):
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def act(self, state: DDPGState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: DDPGState, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """The actor's action, without noise."""
         del key
         return apply_actor(state.actor, inputs)
 
-    def value(self, state: DDPGState, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: DDPGState,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects, [critics, ...]."""
         return apply_critics(state.critic, inputs, action)
 
@@ -112,7 +118,8 @@ class DDPG(Agent[DDPGState]):
         losses, means = [], []
         for one, its_target in zip(critic, state.target_critic, strict=True):
             next_value = apply_critic(its_target, batch.next_inputs, next_action)
-            target = clip_return(batch.reward + self.discount * next_value, self.discount)
+            target = batch.reward + batch.discounts(self.discount) * next_value
+            target = clip_return(target, self.discount, batch.reward_range)
             value = apply_critic(one, batch.inputs, batch.action)
             losses.append(jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value)))
             means.append(value.mean())

@@ -6,11 +6,12 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import optax
+from jaxtyping import Array, Float
 
+from cgm_jax.agents.protocol import Info, Minibatch, Parameters
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.sizes import Sizes
 
-Parameters = Any
 State = TypeVar("State")
 Update = Callable[[State, Any], tuple[State, dict[str, jax.Array]]]
 """From an agent's state and a minibatch to the state after it and scalars to log."""
@@ -51,9 +52,45 @@ def follow(
     return optax.incremental_update(networks, targets, rate)
 
 
-def clip_return(value: jax.Array, discount: float | jax.Array) -> jax.Array:
-    """What a return can be where rewards are -1 or 0 for ever: within [-1 / (1 - gamma), 0]."""
-    return jnp.clip(value, -1.0 / (1.0 - discount), 0.0)
+def clip_return(
+    value: jax.Array,
+    discount: float | jax.Array,
+    reward_range: tuple[float, float] = (-1.0, 0.0),
+) -> jax.Array:
+    """What a return can be: with rewards of -1 or 0 for ever within [-1 / (1 - gamma), 0].
+
+    Of an episode that ends no return is beyond 0 or one that goes on for ever, whichever is.
+    """
+    low, high = min(reward_range[0], 0.0), max(reward_range[1], 0.0)
+    return jnp.clip(value, low / (1.0 - discount), high / (1.0 - discount))
+
+
+class NoisyMinibatch(Minibatch, kw_only=True):
+    """Transitions with standard normal noise for actions in their states.
+
+    Attributes:
+        next_noise: for actions in the next states, [..., action].
+        noise: for actions in the present ones, alike; None for an agent that takes none.
+    """
+
+    next_noise: jax.Array
+    noise: jax.Array | None = None
+
+
+def critic_errors(
+    value: Float[Array, "critics batch"], target: Float[Array, " batch"]
+) -> tuple[Float[Array, ""], Info]:
+    """The loss of critics that share a target: mean squared errors, summed over critics.
+
+    Args:
+        value: what each critic says, [critics, batch].
+        target: [batch]; no gradient flows through it.
+
+    Returns:
+        The loss, and scalars to log: critic_loss and value, means over critics.
+    """
+    losses = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value), axis=-1)
+    return losses.sum(), {"critic_loss": losses.mean(), "value": value.mean()}
 
 
 def train_in_rounds(

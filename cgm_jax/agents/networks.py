@@ -1,14 +1,14 @@
 """Shapes of actors and critics, and how their parameters are made and applied."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-Parameters = Any
+from cgm_jax.agents.protocol import Parameters
+from cgm_jax.config.sizes import Sizes
 
 LOG_STD = (-20.0, 2.0)
 """Limits of the logarithm of a Gaussian actor's standard deviation, Haarnoja's."""
@@ -68,25 +68,47 @@ class Critic(nn.Module):
         return _perceptron(inputs, self.hidden_layers, 1)[..., 0]
 
 
-def initial_actor(
+def init_actor(
     key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
 ) -> Parameters:
     """Parameters of an actor for so many inputs and action dimensions."""
     return Actor(hidden_layers, actions).init(key, jnp.zeros(inputs))
 
 
-def initial_gaussian_actor(
+def init_gaussian_actor(
     key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
 ) -> Parameters:
     """Parameters of a Gaussian actor for so many inputs and action dimensions."""
     return GaussianActor(hidden_layers, actions).init(key, jnp.zeros(inputs))
 
 
-def initial_critic(
+def init_critic(
     key: jax.Array, hidden_layers: Sequence[int], inputs: int, actions: int
 ) -> Parameters:
     """Parameters of a critic for so many inputs and action dimensions."""
     return Critic(hidden_layers).init(key, jnp.zeros(inputs), jnp.zeros(actions))
+
+
+def init_networks(
+    key: jax.Array,
+    init_actor: Callable[..., Parameters],
+    critics: int,
+    hidden_layers: Sequence[int],
+    sizes: Sizes,
+) -> tuple[Parameters, tuple[Parameters, ...]]:
+    """Parameters of an actor and of so many critics for a task; the actor's key comes first.
+
+    Args:
+        key: consumed.
+        init_actor: `init_actor` or `init_gaussian_actor`.
+        critics: how many.
+        hidden_layers: of all networks.
+        sizes: of the task.
+    """
+    actor_key, *critic_keys = jax.random.split(key, 1 + critics)
+    shape = (hidden_layers, sizes.inputs, sizes.action)
+    critic = tuple(init_critic(critic_key, *shape) for critic_key in critic_keys)
+    return init_actor(actor_key, *shape), critic
 
 
 def apply_actor(
@@ -97,7 +119,9 @@ def apply_actor(
     return Actor(hidden, actions).apply(parameters, inputs)  # pyright: ignore[reportReturnType]
 
 
-def apply_gaussian_actor(parameters: Parameters, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+def apply_gaussian_actor(
+    parameters: Parameters, inputs: Float[Array, "*batch inputs"]
+) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch action"]]:
     """Means and logarithms of standard deviations, each [..., action_size], before `tanh`."""
     *hidden, outputs = _widths(parameters)
     actor = GaussianActor(hidden, outputs // 2)
@@ -140,7 +164,11 @@ def apply_critic(
     return Critic(hidden).apply(parameters, inputs, action)  # pyright: ignore[reportReturnType]
 
 
-def apply_critics(critics: Sequence[Parameters], inputs: jax.Array, action: jax.Array) -> jax.Array:
+def apply_critics(
+    critics: Sequence[Parameters],
+    inputs: Float[Array, "*batch inputs"],
+    action: Float[Array, "*batch action"],
+) -> Float[Array, " critics *batch"]:
     """What each critic expects of actions, [critics, ...]."""
     return jnp.stack([apply_critic(critic, inputs, action) for critic in critics])
 

@@ -7,13 +7,16 @@ settings included. A new agent is one new file with one class derived from `Agen
 The state keeps its structure, shapes and types. A run whose state is not finite, or holds a number
 beyond 1e9, is frozen and named by the field; fields whose names end in "optimiser" may hold more.
 
-Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - gamma), 0].
+Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - gamma), 0], unless
+an environment has rewards of its own (`Minibatch.reward_range`) or ends episodes (`continues`).
 """
 
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.sizes import Sizes
@@ -29,15 +32,24 @@ class Minibatch(struct.PyTreeNode):
     Attributes:
         inputs, next_inputs: [..., inputs].
         action: [..., action].
-        reward: 0 where the next state achieves the goal, else -1; [...].
+        reward: 0 where the next state achieves the goal, else -1, or the environment's; [...].
+        continues: 0 where the next state is terminal, else 1; [...]; None where none ever is.
+        reward_range: least and greatest reward.
     """
 
     inputs: jax.Array
     action: jax.Array
     reward: jax.Array
     next_inputs: jax.Array
+    continues: jax.Array | None = None
+    reward_range: tuple[float, float] = struct.field(pytree_node=False, default=(-1.0, 0.0))
+
+    def discounts(self, discount: float | jax.Array) -> jax.Array:
+        """What the next state counts for [...]: gamma, and nothing once the episode ends."""
+        return jnp.asarray(discount if self.continues is None else discount * self.continues)
 
 
+@runtime_checkable
 class Agent(Protocol[State]):
     """Pure functions of one run over a state; derive from it.
 
@@ -61,7 +73,9 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def act(self, state: State, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: State, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """Actions [..., action] in [-1, 1] for training, from normalised inputs [..., inputs].
 
         Args:
@@ -71,7 +85,12 @@ class Agent(Protocol[State]):
         """
         ...
 
-    def value(self, state: State, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: State,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects of an action, [critics, ...]."""
         ...
 

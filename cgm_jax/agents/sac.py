@@ -24,12 +24,15 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.agents.gradients import (
     ADAM,
+    NoisyMinibatch,
     check_rounds,
     clip_return,
+    critic_errors,
     descend,
     follow,
     train_in_rounds,
@@ -37,21 +40,14 @@ from cgm_jax.agents.gradients import (
 from cgm_jax.agents.networks import (
     apply_critics,
     apply_gaussian_actor,
-    initial_critic,
-    initial_gaussian_actor,
+    init_gaussian_actor,
+    init_networks,
     mean_actor,
     with_mean,
 )
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, shared, traced
 from cgm_jax.config.sizes import Sizes
-
-
-class NoisyMinibatch(Minibatch):
-    """Transitions with standard normal noise [..., action] for actions in both of their states."""
-
-    noise: jax.Array
-    next_noise: jax.Array
 
 
 class SACState(struct.PyTreeNode):
@@ -93,10 +89,9 @@ class SAC(Agent[SACState]):
             SettingError: actor_update_every does not divide updates_per_cycle.
         """
         check_rounds(self.actor_update_every, sizes)
-        actor_key, *critic_keys = jax.random.split(key, 1 + self.critics)
-        shape = (self.hidden_layers, sizes.inputs, sizes.action)
-        actor = initial_gaussian_actor(actor_key, *shape)
-        critic = tuple(initial_critic(critic_key, *shape) for critic_key in critic_keys)
+        actor, critic = init_networks(
+            key, init_gaussian_actor, self.critics, self.hidden_layers, sizes
+        )
         log_temperature = jnp.log(jnp.asarray(self.initial_temperature, jnp.float32))
         return SACState(
             actor=actor,
@@ -109,14 +104,21 @@ class SAC(Agent[SACState]):
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def act(self, state: SACState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
+    def act(
+        self, state: SACState, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
+    ) -> Float[Array, "*batch action"]:
         """Sampled actions with a key, tanh(mean) without."""
         mean, log_std = apply_gaussian_actor(state.actor, inputs)
         if key is not None:
             mean += jnp.exp(log_std) * jax.random.normal(key, mean.shape)
         return jnp.tanh(mean)
 
-    def value(self, state: SACState, inputs: jax.Array, action: jax.Array) -> jax.Array:
+    def value(
+        self,
+        state: SACState,
+        inputs: Float[Array, "*batch inputs"],
+        action: Float[Array, "*batch action"],
+    ) -> Float[Array, " critics *batch"]:
         """What each critic expects, entropy included, [critics, ...]."""
         return apply_critics(state.critic, inputs, action)
 
@@ -135,19 +137,20 @@ class SAC(Agent[SACState]):
         next_action, log_probability = sample(state.actor, batch.next_inputs, batch.next_noise)
         next_value = apply_critics(state.target_critic, batch.next_inputs, next_action).min(axis=0)
         temperature = jnp.exp(state.log_temperature)
-        target = batch.reward + self.discount * (next_value - temperature * log_probability)
+        discount = batch.discounts(self.discount)
+        target = batch.reward + discount * (next_value - temperature * log_probability)
         # The future entropy of uniform actions in [-1, 1].
         shift = temperature * batch.action.shape[-1] * math.log(2.0)
-        shift *= self.discount / (1.0 - self.discount)
-        target = clip_return(target - shift, self.discount) + shift
+        shift *= discount / (1.0 - self.discount)
+        target = clip_return(target - shift, self.discount, batch.reward_range) + shift
         value = apply_critics(critic, batch.inputs, batch.action)
-        losses = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value), axis=-1)
-        return losses.sum(), {"critic_loss": losses.mean(), "value": value.mean()}
+        return critic_errors(value, target)
 
     def actor_loss(
         self, actor: Parameters, state: SACState, batch: NoisyMinibatch
     ) -> tuple[jax.Array, Info]:
         """Minus the soft value of the actor's actions."""
+        assert batch.noise is not None
         action, log_probability = sample(actor, batch.inputs, batch.noise)
         temperature = jnp.exp(state.log_temperature)
         value = apply_critics(state.critic, batch.inputs, action).min(axis=0)
@@ -219,7 +222,9 @@ class SAC(Agent[SACState]):
         ), info
 
 
-def sample(actor: Parameters, inputs: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
+def sample(
+    actor: Parameters, inputs: Float[Array, "*batch inputs"], noise: Float[Array, "*batch action"]
+) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch"]]:
     """Actions [..., action] and the logarithms [...] of their probability densities.
 
     Haarnoja et al. (2018), appendix C: log N(u; mean, std) - sum_i log(1 - tanh(u_i)^2), of which

@@ -16,16 +16,10 @@ import jax
 import jax.numpy as jnp
 
 from cgm_jax.agents.ddpg import DDPG, DDPGState
-from cgm_jax.agents.gradients import clip_return
+from cgm_jax.agents.gradients import NoisyMinibatch, clip_return, critic_errors
 from cgm_jax.agents.networks import apply_actor, apply_critic, apply_critics
 from cgm_jax.agents.protocol import Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, shared, traced
-
-
-class NoisyMinibatch(Minibatch):
-    """Transitions with standard normal noise for their next actions, [..., action]."""
-
-    noise: jax.Array
 
 
 @settings
@@ -45,14 +39,14 @@ class TD3(DDPG):
         """Mean squared error of each critic to the target that they share, summed over critics."""
         assert isinstance(batch, NoisyMinibatch)
         limit = self.target_noise_clip
-        noise = jnp.clip(self.target_noise * batch.noise, -limit, limit)
+        noise = jnp.clip(self.target_noise * batch.next_noise, -limit, limit)
         next_action = apply_actor(state.target_actor, batch.next_inputs) + noise
         next_action = jnp.clip(next_action, -1.0, 1.0)
         next_value = apply_critics(state.target_critic, batch.next_inputs, next_action).min(axis=0)
-        target = clip_return(batch.reward + self.discount * next_value, self.discount)
+        target = batch.reward + batch.discounts(self.discount) * next_value
+        target = clip_return(target, self.discount, batch.reward_range)
         value = apply_critics(critic, batch.inputs, batch.action)
-        losses = jnp.mean(jnp.square(jax.lax.stop_gradient(target) - value), axis=-1)
-        return losses.sum(), {"critic_loss": losses.mean(), "value": value.mean()}
+        return critic_errors(value, target)
 
     def actor_loss(
         self, actor: Parameters, state: DDPGState, batch: Minibatch
@@ -65,8 +59,8 @@ class TD3(DDPG):
 
     def train(self, state: DDPGState, batches: Minibatch, key: jax.Array) -> tuple[DDPGState, Info]:
         """DDPG's updates, with noise for all of them drawn at once."""
-        noise = jax.random.normal(key, batches.action.shape)
-        return super().train(state, NoisyMinibatch(**vars(batches), noise=noise), key)
+        next_noise = jax.random.normal(key, batches.action.shape)
+        return super().train(state, NoisyMinibatch(**vars(batches), next_noise=next_noise), key)
 
     def idle(self) -> frozenset[str]:
         """Without noise on target actions, its limit."""

@@ -1,6 +1,6 @@
 """What is asked for.
 
-fields.py      how a setting is declared and checked
+fields.py      how a setting is declared and checked; common.py what several kinds declare
 settings.py    the loop's own settings; sizes.py what components may know of them
 components.py  curricula, agents and ways to relabel by name
 named.py       from the user's own files; user_code.py runs them, allowed.py which ones may run

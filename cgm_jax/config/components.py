@@ -23,6 +23,9 @@ ROOMS = {
 }
 """Where the components of each kind are; `protocol.py` there says what they offer."""
 
+DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
+"""Names of the components of a run that names none."""
+
 TRACK = "track"
 PLACES = {**ROOMS, TRACK: "cgm_jax.results.trackers"}
 """Where the classes of each kind are, one a file, trackers included."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import jax
 
-from cgm_jax.config.components import NAMES, ROOMS, component, owners
+from cgm_jax.config.components import DEFAULTS, NAMES, ROOMS, component, owners
 from cgm_jax.config.fields import Field, SettingError, check, check_value, declared, parts, stack
 from cgm_jax.config.named import absolute
 from cgm_jax.config.presets import Grid, preset_grid
@@ -23,7 +23,6 @@ from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
 
 MAX_RUNS = 100_000
 
-DEFAULTS = {"curriculum": "cgm", "agent": "ddpg", "relabelling": "future"}
 STATIC = [item.name for item in dataclasses.fields(Settings)]
 TRACED = [item.name for item in declared(Hyperparameters)]
 

@@ -1,4 +1,4 @@
-"""FILE.py:NAME or package.module:NAME, something in a file of the user's own.
+"""FILE.py:NAME or package.module:NAME, something in a file of the user's own; gymnasium:MODULE:ID.
 
 What the user names, on a command line or in a program, runs, and so does what it imports. What only
 a run directory's config.json names may come from anybody: of that only those files run, byte for
@@ -12,9 +12,11 @@ import importlib
 import importlib.util
 import operator
 import os
+import re
 import shlex
 from importlib.machinery import PathFinder
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from cgm_jax.config import allowed
@@ -31,8 +33,59 @@ from cgm_jax.config.user_code import (
 _named_now: set[Path] = set()
 """Files that the user has named on this process's command line."""
 
+NAMED_NOW, FROM_CONFIG, BY_PROGRAM = "named now", "from config", "by program"
+
+_texts_named_now: set[str] = set()
+_texts_from_config: set[str] = set()
+"""The same, as they were named."""
+
 _from_config: set[Path] = set()
 """Files that only a config.json has named."""
+
+
+GYMNASIUM = "gymnasium:"
+"""Prefix of environments of Gymnasium's: gymnasium:ID, or gymnasium:MODULE:ID to import MODULE."""
+
+
+def is_gymnasium(text: str) -> bool:
+    """Whether a setting's value names an environment of Gymnasium's."""
+    return text.startswith(GYMNASIUM)
+
+
+def gymnasium_name(text: str) -> tuple[str | None, str]:
+    """The module to import first, if any, and the environment's id.
+
+    Raises:
+        SettingError: it is of another form.
+    """
+    module, _, env_id = text.removeprefix(GYMNASIUM).rpartition(":")
+    if not re.fullmatch(r"([\w.-]+/)?[\w.-]+", env_id):
+        raise SettingError(f"env: {text!r} is neither gymnasium:ID nor gymnasium:MODULE:ID")
+    return module or None, env_id
+
+
+def import_gymnasium_module(text: str, trust: str) -> None:
+    """Import the module of gymnasium:MODULE:ID, if it may run.
+
+    Args:
+        text: the name.
+        trust: `trust_of` it in the process that asks for it.
+
+    Raises:
+        SettingError: there is no such module, it fails, or it may not run.
+    """
+    if trust == NAMED_NOW:
+        name_now(text)
+    elif trust == FROM_CONFIG:
+        require_named("env", text)
+    _import_module("env", text, gymnasium_name(text)[0] or "")
+
+
+def trust_of(text: str) -> str:
+    """Who has named something of the user's own: the user, only a config.json, or a program."""
+    if text in _texts_named_now:
+        return NAMED_NOW
+    return FROM_CONFIG if text in _texts_from_config else BY_PROGRAM
 
 
 def is_own(text: str) -> bool:
@@ -48,6 +101,8 @@ def absolute(text: str) -> str:
 
 def label(text: str) -> str:
     """A short name for files and titles: "point_mass-PointMass"."""
+    if is_gymnasium(text):
+        return text.rpartition(":")[2].replace("/", "-")
     place, _, attribute = text.rpartition(":")
     return f"{Path(place).name.removesuffix('.py')}-{attribute}" if place else text
 
@@ -62,16 +117,13 @@ def load_named(setting: str, text: str) -> Any:
     Raises:
         SettingError: there is no such file, module or name; it fails; or it may not run.
     """
-    file = _file(setting, text)
     place, _, attribute = text.rpartition(":")
-    admit = _admitting(setting, text, file)
-    with user_code(setting, place):
-        if _is_file(text):
-            module = load_file(file, admit)
-        else:
-            admit(file, file.read_bytes())  # also if something has imported it already
-            neighbours_of(folder_of(text).parent, admit, only=place.partition(".")[0])
-            module = importlib.import_module(place)
+    if _is_file(text):
+        file = _file(setting, text)
+        with user_code(setting, place):
+            module = load_file(file, _admitting(setting, text, file))
+    else:
+        module = _import_module(setting, text, place)
     try:
         found = operator.attrgetter(attribute)(module)
     except AttributeError:
@@ -81,9 +133,21 @@ def load_named(setting: str, text: str) -> Any:
     return found
 
 
+def _import_module(setting: str, text: str, place: str) -> ModuleType:
+    file = _file(setting, text)
+    admit = _admitting(setting, text, file)
+    with user_code(setting, place):
+        admit(file, file.read_bytes())  # also if something has imported it already
+        neighbours_of(folder_of(text).parent, admit, only=place.partition(".")[0])
+        return importlib.import_module(place)
+
+
 def files_of(text: str) -> dict[str, str]:
-    """SHA-256 of the files that have run in this process for `text`, by absolute path."""
-    return run_files(folder_of(text))
+    """SHA-256 of the files that have run in this process for `text`, by absolute path.
+
+    What runs for an environment of Gymnasium's does so in another process.
+    """
+    return {} if is_gymnasium(text) else run_files(folder_of(text))
 
 
 def folder_of(text: str) -> Path:
@@ -92,7 +156,7 @@ def folder_of(text: str) -> Path:
     Raises:
         SettingError: there is no such file.
     """
-    file, place = _file("", text), text.rpartition(":")[0]
+    file, place = _file("", text), _place(text)
     if _is_file(text):
         return file.parent
     depth = place.count(".") + (file.name == "__init__.py")
@@ -101,6 +165,7 @@ def folder_of(text: str) -> Path:
 
 def name_now(text: str) -> None:
     """The user names something on the command line: it runs, and is remembered once it has run."""
+    _texts_named_now.add(text)
     with contextlib.suppress(SettingError):  # loading it will say so
         _named_now.add(_file("", text))
 
@@ -112,6 +177,9 @@ def require_named(setting: str, text: str) -> None:
         SettingError: there is no such file; or the user has neither named it now nor, as it is now,
             before.
     """
+    _texts_from_config.add(text)
+    if is_gymnasium(text) and (trust_of(text) == NAMED_NOW or gymnasium_name(text)[0] is None):
+        return  # it may be of another interpreter; or Gymnasium's registry has it
     try:
         file = _file(setting, text)
     except SettingError as error:
@@ -142,8 +210,13 @@ def _option(setting: str, text: str) -> str:
     return f"--{setting} {shlex.quote(text)}"
 
 
+def _place(text: str) -> str:
+    """The file or the module in a name."""
+    return text.removeprefix(GYMNASIUM).rpartition(":")[0]
+
+
 def _is_file(text: str) -> bool:
-    place = text.rpartition(":")[0]
+    place = _place(text)
     return place.endswith(".py") or os.sep in place
 
 
@@ -153,6 +226,8 @@ def _file(setting: str, text: str) -> Path:
     Raises:
         SettingError: there is none.
     """
+    if is_gymnasium(text):
+        return _file_of_module(setting, gymnasium_name(text)[0] or "gymnasium")
     place, _, attribute = text.rpartition(":")
     well_formed = text.isprintable() and all(part.isidentifier() for part in attribute.split("."))
     if not place or not well_formed:

@@ -9,7 +9,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
-from cgm_jax.config.components import component
+from cgm_jax.config.components import DEFAULTS, component
 from cgm_jax.config.fields import check, settings, static, traced
 
 
@@ -21,7 +21,9 @@ class Settings:
         SettingError: a value out of its range.
     """
 
-    env: str = static("push", "reach, push, pick_and_place, or FILE.py:FACTORY of your own")
+    env: str = static(
+        "push", "reach, push, pick_and_place, FILE.py:FACTORY of your own, or gymnasium:MODULE:ID"
+    )
     engine: str = static("auto", "auto, native, mjx or warp")
     air_probability: float | None = static(
         None, "chance of a pick-and-place goal in the air (default: 1)", 0, 1
@@ -47,8 +49,8 @@ class Settings:
         check(self)
 
 
-def _default(kind: str, name: str) -> Any:
-    return field(default_factory=lambda: component(kind, name)())
+def _default(kind: str) -> Any:
+    return field(default_factory=lambda: component(kind, DEFAULTS[kind])())
 
 
 @settings
@@ -68,9 +70,9 @@ class Hyperparameters:
     action_noise: float = traced(0.2, "standard deviation of exploration noise", 0)
     random_action_probability: float = traced(0.3, "chance of a uniform action", 0, 1)
     random_action_steps: int = traced(1, "steps that a uniform action lasts", 1, 10**6)
-    curriculum: Any = _default("curriculum", "cgm")
-    agent: Any = _default("agent", "ddpg")
-    relabelling: Any = _default("relabelling", "future")
+    curriculum: Any = _default("curriculum")
+    agent: Any = _default("agent")
+    relabelling: Any = _default("relabelling")
 
 
 LOOP_FIELDS = {

@@ -13,7 +13,7 @@ Over accuracy, goals and starts:
     vds.py           goals about which critics disagree
     starts.py        starts of intermediate success
 
-goals.py says when masked goals are achieved; parts/ is what curricula are made of.
+parts/ is what curricula are made of.
 
 Every file with a class derived from `Curriculum` is a value of `--curriculum`.
 """

@@ -21,17 +21,19 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.fields import settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import proportional
 from cgm_jax.curricula.parts.windows import (
     Windows,
-    empty_windows,
+    init_windows,
     progress,
     record_episodes,
     window_rates,
 )
+from cgm_jax.curricula.progress import Progress
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -55,8 +57,8 @@ class Accuracy(Curriculum[AccuracyState]):
 
     threshold_steps: int = static(4, "distance thresholds to practise at", 1, 1000)
     threshold_widest: float = traced(2.5, "the widest, in the environment's own", 1, 1e6)
-    progress_window: int = static(100, "training episodes behind a change of success, w", 2, 10**6)
-    progress_floor: float = traced(0.02, "added to every change of success, eps", 1e-6, 1e6)
+    progress_window: int = shared(Progress, "progress_window")
+    progress_floor: float = shared(Progress, "progress_floor")
     progress_exponent: float = traced(1.0, "preference for the greatest change, beta", 0, 100)
 
     def init(self, sizes: Sizes) -> AccuracyState:
@@ -64,7 +66,7 @@ class Accuracy(Curriculum[AccuracyState]):
         multiples = jnp.linspace(1.0, self.threshold_widest, self.threshold_steps)
         return AccuracyState(
             thresholds=sizes.distance_threshold * multiples,
-            windows=empty_windows(self.threshold_steps, self.progress_window),
+            windows=init_windows(self.threshold_steps, self.progress_window),
         )
 
     def sample(self, state: AccuracyState, key: jax.Array, drawn: Goals, view: View) -> Goals:
@@ -90,7 +92,7 @@ class Accuracy(Curriculum[AccuracyState]):
             "threshold_probability": self.probabilities(state),
         }
 
-    def probabilities(self, state: AccuracyState) -> jax.Array:
+    def probabilities(self, state: AccuracyState) -> Float[Array, " steps"]:
         """Probability of drawing each threshold, [steps]."""
         change = jnp.abs(progress(state.windows)) + self.progress_floor
         return proportional((change / change.max()) ** self.progress_exponent)

@@ -20,12 +20,13 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import SettingError, settings, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.history import (
     SuccessHistory,
-    empty_history,
+    init_history,
     record_successes,
     subgoal_rates,
     success_rates,
@@ -41,10 +42,10 @@ from cgm_jax.curricula.parts.lookahead import draw_masks
 from cgm_jax.curricula.parts.masks import (
     MAX_TABULATED,
     check_tabulated,
+    draw_from_table,
     goal_masks,
     mask_probabilities,
     mask_success_rates,
-    sample_masks,
 )
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
 
@@ -91,13 +92,13 @@ class CGM(Curriculum[CGMState]):
             raise SettingError(
                 f"mask_levels: goals of {sizes.goal} dimensions have more than {MAX_GOAL_SIZE}"
             )
-        subgoals = empty_history(self.success_history, sizes.goal)
+        subgoals = init_history(self.success_history, sizes.goal)
         if not self.masked_evaluation_episodes:
             return CGMState(subgoals)
         check_tabulated(
             "masked_evaluation_episodes", "measuring masks in curriculum cgm", sizes.goal
         )
-        return CGMState(subgoals, empty_history(self.success_history, 2**sizes.goal))
+        return CGMState(subgoals, init_history(self.success_history, 2**sizes.goal))
 
     def sample(self, state: CGMState, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks near the success rate aimed at."""
@@ -105,8 +106,7 @@ class CGM(Curriculum[CGMState]):
         count, goal_size = drawn.mask.shape
         if goal_size > MAX_TABULATED:
             return with_mask(drawn, self.draw(state, key, count)[0])
-        probabilities = self.probabilities(self.rates(state))
-        return with_mask(drawn, goal_masks(goal_size)[sample_masks(key, probabilities, count)])
+        return draw_from_table(drawn, key, self.probabilities(self.rates(state)))
 
     def after_evaluation(
         self, state: CGMState, outcomes: Outcomes, examined: Outcomes | None = None
@@ -119,7 +119,7 @@ class CGM(Curriculum[CGMState]):
         successes, valid = (x.reshape(shape) for x in (examined.success, examined.valid))
         return CGMState(subgoals, record_successes(state.masks, successes, valid.all(axis=1)))
 
-    def examination(self, sizes: Sizes) -> jax.Array | None:
+    def examination(self, sizes: Sizes) -> Float[Array, "P n"] | None:
         """Equally many episodes per mask, where masks are to be measured."""
         if not self.masked_evaluation_episodes:
             return None
@@ -142,7 +142,7 @@ class CGM(Curriculum[CGMState]):
             "level_kept_dimensions": levels.kept_dimensions,
         }
 
-    def rates(self, state: CGMState) -> jax.Array:
+    def rates(self, state: CGMState) -> Float[Array, " masks"]:
         """Estimated success rate of every mask [2^n]; once masks are measured, the measured one."""
         masks = goal_masks(state.subgoals.successes.shape[-1])
         if self.factorised:
@@ -151,14 +151,16 @@ class CGM(Curriculum[CGMState]):
             estimates = joint_success_rates(masks, state.subgoals, self.c_g)
         return estimates if state.masks is None else success_rates(state.masks, estimates)
 
-    def probabilities(self, rates: jax.Array) -> jax.Array:
+    def probabilities(self, rates: Float[Array, " masks"]) -> Float[Array, " masks"]:
         """Probability of drawing each mask [2^n], given their success rates."""
         full = jnp.zeros(len(rates)).at[-1].set(1.0)
         rule = probabilities_by_difficulty if self.mask_levels else mask_probabilities
         probabilities = rule(rates, self.c_g, self.kappa)
         return (1.0 - self.full_share) * probabilities + self.full_share * full
 
-    def draw(self, state: CGMState, key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
+    def draw(
+        self, state: CGMState, key: jax.Array, count: int
+    ) -> tuple[Float[Array, "count n"], Float[Array, " count"]]:
         """Draw masks without a table: masks [count, n] and their estimated success rates."""
         mask_key, full_key = jax.random.split(key)
         rates = subgoal_rates(state.subgoals, self.c_g)
@@ -168,7 +170,9 @@ class CGM(Curriculum[CGMState]):
         return jnp.where(full[:, None], 1.0, masks), jnp.where(full, rates.prod(), estimates)
 
 
-def joint_success_rates(masks: jax.Array, history: SuccessHistory, c_g: ArrayLike) -> jax.Array:
+def joint_success_rates(
+    masks: Float[Array, "masks n"], history: SuccessHistory, c_g: ArrayLike
+) -> Float[Array, " masks"]:
     """Success rate [m] of every mask, without assuming that sub-goals are independent.
 
     Not in the paper, whose product this judges: the share of the history's rollouts that achieved

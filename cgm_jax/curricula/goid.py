@@ -16,6 +16,7 @@ in the paper; while replay is empty, the environment's own goals.
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
@@ -25,7 +26,7 @@ from cgm_jax.curricula.parts.candidates import (
     draw_eligible,
     nearest_success,
 )
-from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -63,7 +64,7 @@ class GOID(Curriculum[GOIDState]):
         """Nothing practised yet."""
         like = Practised(jnp.zeros(sizes.goal), jnp.zeros((), bool))
         return GOIDState(
-            practised=empty_recent(like, self.practised_episodes),
+            practised=init_recent(like, self.practised_episodes),
             share=jnp.full((), jnp.nan, jnp.float32),
         )
 
@@ -101,7 +102,7 @@ class GOID(Curriculum[GOIDState]):
             "goid_success": mean_of(state.practised, state.practised.rows.success),
         }
 
-    def rates(self, state: GOIDState, goals: jax.Array) -> jax.Array:
+    def rates(self, state: GOIDState, goals: Float[Array, "m n"]) -> Float[Array, " m"]:
         """Estimated success rate [m] of goals [m, n]; NaN before any training episode."""
         practised: Practised = state.practised.rows
         return nearest_success(

@@ -13,23 +13,25 @@ are uniform where no score is above 0, so where every sub-goal always or never s
 """
 
 import jax
+from jaxtyping import Array, Float
 
-from cgm_jax.config.fields import settings, static
+from cgm_jax.config.fields import settings, shared
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.cgm import CGM
 from cgm_jax.curricula.parts.history import (
     SuccessHistory,
-    empty_history,
+    init_history,
     record_successes,
     subgoal_rates,
 )
 from cgm_jax.curricula.parts.masks import (
     check_tabulated,
+    draw_from_table,
     goal_masks,
     mask_success_rates,
     proportional,
-    sample_masks,
 )
-from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 MOST_LEARNABLE = 0.5
 """The success rate at which c (1 - c) is greatest."""
@@ -39,7 +41,7 @@ MOST_LEARNABLE = 0.5
 class Learnability(Curriculum[SuccessHistory]):
     """Its state holds the outcomes of evaluation episodes with the full goal, per sub-goal."""
 
-    success_history: int = static(10, "evaluation episodes behind success rates, h", 1, 10**6)
+    success_history: int = shared(CGM, "success_history")
 
     def init(self, sizes: Sizes) -> SuccessHistory:
         """Nothing known yet.
@@ -48,14 +50,12 @@ class Learnability(Curriculum[SuccessHistory]):
             SettingError: too many goal dimensions for a table of all masks.
         """
         check_tabulated("curriculum", "learnability", sizes.goal)
-        return empty_history(self.success_history, sizes.goal)
+        return init_history(self.success_history, sizes.goal)
 
     def sample(self, state: SuccessHistory, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks that sometimes succeed."""
         del view
-        masks = goal_masks(drawn.desired.shape[-1])
-        probabilities = learnable(self.rates(state))
-        return with_mask(drawn, masks[sample_masks(key, probabilities, len(drawn.mask))])
+        return draw_from_table(drawn, key, learnable(self.rates(state)))
 
     def after_evaluation(
         self, state: SuccessHistory, outcomes: Outcomes, examined: Outcomes | None = None
@@ -69,12 +69,12 @@ class Learnability(Curriculum[SuccessHistory]):
         rates = self.rates(state)
         return {"mask_rate_estimated": rates, "mask_probability": learnable(rates)}
 
-    def rates(self, state: SuccessHistory) -> jax.Array:
+    def rates(self, state: SuccessHistory) -> Float[Array, " masks"]:
         """Estimated success rate of every mask [2^n]."""
         masks = goal_masks(state.successes.shape[-1])
         return mask_success_rates(masks, subgoal_rates(state, MOST_LEARNABLE))
 
 
-def learnable(rates: jax.Array) -> jax.Array:
+def learnable(rates: Float[Array, " m"]) -> Float[Array, " m"]:
     """Probabilities proportional to c (1 - c), for success rates [m]; uniform where all are 0."""
     return proportional(rates * (1.0 - rates))

@@ -23,12 +23,15 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.common import Common
+from cgm_jax.config.fields import settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import achieved_goals
 from cgm_jax.curricula.parts.density import log_density
-from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 CUTOFF_EPISODES = 10
@@ -41,7 +44,7 @@ REACHED_WITHIN = 0.8
 """Share of an episode's steps within which a goal must be reached at least."""
 
 MAX_DISCOUNT = 0.99
-LEAST_DEVIATION = 1e-4
+MIN_DEVIATION = 1e-4
 """What mrl adds to the standard deviation of achieved goals."""
 
 
@@ -79,8 +82,8 @@ class MEGA(Curriculum[MEGAState]):
     density_bandwidth: float = traced(0.1, "bandwidth of densities of standardised goals", 1e-3, 10)
     omega_bonus: float = traced(-3.0, "b of OMEGA; the smaller, the more of the task's goals")
     initial_cutoff: float = traced(-3.0, "value from which on a goal counts as reachable", high=0)
-    discount: float = traced(0.98, "discount factor gamma", 0, 0.9999)
-    candidates: int = static(100, "goals among which to choose", 1, 10**5)
+    discount: float = shared(Common, "discount")
+    candidates: int = shared(GOID, "candidates")
     density_samples: int = static(1000, "goals behind a density", 1, 10**5)
 
     def init(self, sizes: Sizes) -> MEGAState:
@@ -92,7 +95,7 @@ class MEGA(Curriculum[MEGAState]):
             cutoff=cutoff,
             lower=cutoff,
             floor=floor,
-            successes=empty_recent(jnp.zeros((), bool), CUTOFF_EPISODES),
+            successes=init_recent(jnp.zeros((), bool), CUTOFF_EPISODES),
             alpha=jnp.full((), jnp.nan, jnp.float32),
         )
 
@@ -102,7 +105,7 @@ class MEGA(Curriculum[MEGAState]):
         count = len(drawn.desired)
         candidates = achieved_goals(candidate_key, view, (count, self.candidates))
         achieved = achieved_goals(achieved_key, view, (self.density_samples,))
-        mean, deviation = achieved.mean(axis=0), achieved.std(axis=0) + LEAST_DEVIATION
+        mean, deviation = achieved.mean(axis=0), achieved.std(axis=0) + MIN_DEVIATION
         achieved = (achieved - mean) / deviation
         density = log_density((candidates - mean) / deviation, achieved, self.density_bandwidth)
 
@@ -151,7 +154,9 @@ class MEGA(Curriculum[MEGAState]):
         return {"omega_alpha": state.alpha, "mega_cutoff": state.cutoff}
 
 
-def rarest_reachable(density: jax.Array, values: jax.Array, cutoff: ArrayLike) -> jax.Array:
+def rarest_reachable(
+    density: Float[Array, "E C"], values: Float[Array, "E C"], cutoff: ArrayLike
+) -> Int[Array, " E"]:
     """Index [E] of the candidate to practise.
 
     Args:

@@ -17,18 +17,18 @@ Over w episodes a mask that succeeds half of the time by chance changes by about
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import (
     check_tabulated,
-    goal_masks,
+    draw_from_table,
     mask_indices,
     proportional,
-    sample_masks,
 )
-from cgm_jax.curricula.parts.windows import Windows, empty_windows, progress, record_episodes
-from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
+from cgm_jax.curricula.parts.windows import Windows, init_windows, progress, record_episodes
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
 @settings
@@ -45,14 +45,12 @@ class Progress(Curriculum[Windows]):
             SettingError: too many goal dimensions for a table of all masks.
         """
         check_tabulated("curriculum", "progress", sizes.goal)
-        return empty_windows(2**sizes.goal, self.progress_window)
+        return init_windows(2**sizes.goal, self.progress_window)
 
     def sample(self, state: Windows, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks whose success changes."""
         del view
-        masks = goal_masks(drawn.desired.shape[-1])
-        probabilities = self.probabilities(state)
-        return with_mask(drawn, masks[sample_masks(key, probabilities, len(drawn.mask))])
+        return draw_from_table(drawn, key, self.probabilities(state))
 
     def after_training(self, state: Windows, outcomes: Outcomes) -> Windows:
         """Take in whether masked goals were achieved."""
@@ -63,6 +61,6 @@ class Progress(Curriculum[Windows]):
         """Per mask [2^n]: the change of its success rate, and its probability of being drawn."""
         return {"mask_progress": progress(state), "mask_probability": self.probabilities(state)}
 
-    def probabilities(self, state: Windows) -> jax.Array:
+    def probabilities(self, state: Windows) -> Float[Array, " masks"]:
         """Probability of drawing each mask, [2^n]."""
         return proportional(jnp.abs(progress(state)) + self.progress_floor)

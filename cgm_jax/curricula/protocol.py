@@ -13,10 +13,11 @@ is inherited.
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.sizes import Sizes
 
@@ -82,6 +83,7 @@ class View(NamedTuple):
     draw: Callable[[jax.Array, int], jax.Array]
 
 
+@runtime_checkable
 class Curriculum(Protocol[State]):
     """Pure functions of one run over a state; derive from it and override what differs.
 
@@ -138,7 +140,7 @@ class Curriculum(Protocol[State]):
         del outcomes, examined
         return state
 
-    def examination(self, sizes: Sizes) -> jax.Array | None:
+    def examination(self, sizes: Sizes) -> Float[Array, "P n"] | None:
         """Masks [P, n] of further noise-free episodes to run at each evaluation; None for none."""
         del sizes
         return None
@@ -161,6 +163,6 @@ class Curriculum(Protocol[State]):
 PROTOCOL = Curriculum
 
 
-def with_mask(drawn: Goals, mask: jax.Array) -> Goals:
+def with_mask(drawn: Goals, mask: Float[Array, "E n"]) -> Goals:
     """The goals that the environment drew, under other masks [E, n]."""
     return drawn.replace(mask=mask)

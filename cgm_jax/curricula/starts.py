@@ -21,11 +21,13 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
-from cgm_jax.config.fields import SettingError, settings, static, traced
+from cgm_jax.config.fields import SettingError, settings, shared, static, traced
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import between, draw_eligible, nearest_success
-from cgm_jax.curricula.parts.recent import Recent, empty_recent, mean_of, record
+from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -58,11 +60,11 @@ class Starts(Curriculum[StartsState]):
     wants_visited: ClassVar[bool] = True
     needs_critics: ClassVar[int] = 1
 
-    least_success: float = traced(0.1, "estimated success below which it is too hard", 0, 0.5)
-    most_success: float = traced(0.9, "estimated success above which it is too easy", 0.5, 1)
+    least_success: float = shared(GOID, "least_success")
+    most_success: float = shared(GOID, "most_success")
     reset_share: float = traced(0.5, "share of episodes that begin at a reset", 0, 1)
-    neighbours: int = static(10, "practised episodes behind an estimate of success", 1, 10**4)
-    practised_episodes: int = static(500, "recent episodes to estimate success from", 1, 10**6)
+    neighbours: int = shared(GOID, "neighbours")
+    practised_episodes: int = shared(GOID, "practised_episodes")
     visited_states: int = static(500, "recently visited states that may be starts", 1, 10**6)
 
     def init(self, sizes: Sizes) -> StartsState:
@@ -78,8 +80,8 @@ class Starts(Curriculum[StartsState]):
             )
         like = Begun(jnp.zeros(sizes.observation), jnp.zeros(sizes.goal), jnp.zeros((), bool))
         return StartsState(
-            visited=empty_recent(sizes.starts, self.visited_states),
-            begun=empty_recent(like, self.practised_episodes),
+            visited=init_recent(sizes.starts, self.visited_states),
+            begun=init_recent(like, self.practised_episodes),
             share=jnp.full((), jnp.nan, jnp.float32),
         )
 
@@ -115,7 +117,7 @@ class Starts(Curriculum[StartsState]):
             "start_success": mean_of(state.begun, state.begun.rows.success),
         }
 
-    def rates(self, state: StartsState, view: View) -> jax.Array:
+    def rates(self, state: StartsState, view: View) -> Float[Array, " N"]:
         """Estimated success rate [N] of every visited state; NaN before any training episode."""
         visited, begun = state.visited.rows, state.begun.rows
         values = view.value(visited.obs["observation"], visited.obs["desired_goal"]).mean(axis=0)

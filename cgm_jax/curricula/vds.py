@@ -16,9 +16,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.scipy.special import xlogy
+from jaxtyping import Array, Float
 
-from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.fields import settings, shared, traced
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -36,7 +38,7 @@ class VDS(Curriculum[VDSState]):
     needs_critics: ClassVar[int] = 2
 
     disagreement_power: float = traced(1.0, "goals count by critics' deviation to this", 0, 100)
-    candidates: int = static(100, "goals among which to choose", 1, 10**5)
+    candidates: int = shared(GOID, "candidates")
 
     def init(self, sizes: Sizes) -> VDSState:
         """Nothing known yet."""
@@ -67,7 +69,7 @@ class VDS(Curriculum[VDSState]):
         return {"vds_disagreement": state.disagreement}
 
 
-def log_weights(disagreement: jax.Array, power: jax.Array | float) -> jax.Array:
+def log_weights(disagreement: Float[Array, "E C"], power: jax.Array | float) -> Float[Array, "E C"]:
     """Unnormalised log probabilities of goals [E, C] about which critics disagree so much.
 
     Uniform where they agree on all of them.
@@ -77,7 +79,9 @@ def log_weights(disagreement: jax.Array, power: jax.Array | float) -> jax.Array:
     return jnp.where(possible, logits, 0.0)
 
 
-def pairs(observation: jax.Array, goals: jax.Array) -> tuple[jax.Array, jax.Array]:
+def pairs(
+    observation: Float[Array, "E o"], goals: Float[Array, "C n"]
+) -> tuple[Float[Array, "E C o"], Float[Array, "E C n"]]:
     """Every observation [E, o] with every goal [C, n]: [E, C, o] and [E, C, n]."""
     shape = (len(observation), len(goals))
     return (

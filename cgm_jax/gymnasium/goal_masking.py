@@ -58,6 +58,7 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
         distance_threshold: ArrayLike | None = None,
         distance: Distance = "euclidean",
         history: int = 10,
+        mask_levels: bool = False,
         evaluating: bool = False,
     ) -> None:
         """Wrap an environment.
@@ -70,11 +71,13 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
                 `distance="per_dimension"`. None: the environment's attribute of this name.
             distance: "euclidean", or "per_dimension" for dimensions of unlike units.
             history: h, how many of the latest evaluation episodes count.
+            mask_levels: draw a difficulty first, then a mask of that difficulty, which goals of
+                many dimensions need; not in the paper.
             evaluating: always the full goal.
 
         Raises:
             ValueError: an argument out of its range, no goal environment, or a goal of more than
-                12 dimensions.
+                512 dimensions.
         """
         RecordConstructorArgs.__init__(
             self,
@@ -83,6 +86,7 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
             distance_threshold=distance_threshold,
             distance=distance,
             history=history,
+            mask_levels=mask_levels,
             evaluating=evaluating,
         )
         gymnasium.Wrapper.__init__(self, env)
@@ -91,7 +95,7 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
         if distance_threshold is None and env.has_wrapper_attr("distance_threshold"):
             distance_threshold = env.get_wrapper_attr("distance_threshold")
         self.rule = make_rule(goals.shape[0], distance_threshold, distance)
-        self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history)
+        self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history, mask_levels)
         self.evaluating = evaluating
         self._generator = mask_generator(None)
         self._mask: np.ndarray | None = None
@@ -109,7 +113,7 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
         Raises:
             ValueError: `mask` has another shape, or holds something else.
         """
-        shape = (self.sampler.masks.shape[1],)
+        shape = (self.sampler.goal_size,)
         forced = None
         if options is not None and "mask" in options:
             forced = check_masks(options["mask"], shape)

@@ -100,8 +100,8 @@ def goal_space(space: spaces.Space[Any]) -> spaces.Box:
     achieved.
 
     Raises:
-        ValueError: not the observation space of a goal environment, or a goal without a table of
-            masks: more than 12 dimensions.
+        ValueError: not the observation space of a goal environment, or a goal of more than 512
+            dimensions.
     """
     if not isinstance(space, spaces.Dict):
         raise ValueError(f"observation_space: {space} is not a Dict with the goals")
@@ -148,8 +148,8 @@ def _goal_box(entries: Mapping[str, spaces.Space[Any]], name: str) -> spaces.Box
         raise ValueError(f"observation_space: {name} is {space}, not a Box of one axis")
     if not 1 <= space.shape[0] <= MAX_GOAL_SIZE:
         raise ValueError(
-            f"observation_space: {name} has {space.shape[0]} dimensions, and the table of masks "
-            f"serves 1 to {MAX_GOAL_SIZE}"
+            f"observation_space: {name} has {space.shape[0]} dimensions, which is not within "
+            f"[1, {MAX_GOAL_SIZE}]"
         )
     return space
 

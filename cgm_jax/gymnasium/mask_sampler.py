@@ -10,28 +10,41 @@ from numbers import Integral, Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-MAX_GOAL_SIZE = 12
-"""Goals of at most this many dimensions: all 2^n masks are held in a table."""
+from cgm_jax.gymnasium.mask_levels import MaskLevels
+from cgm_jax.gymnasium.mask_lookahead import MaskLookahead
+from cgm_jax.gymnasium.mask_table import MAX_TABULATED, MaskTable
+
+MAX_GOAL_SIZE = 512
+"""Shares of masks of down to 2^-n are float64."""
 
 
 class MaskSampler:
     """Draws masks whose estimated success is near a chosen rate, from what evaluations showed.
 
+    All masks are held in a table up to ten dimensions, see mask_table.py; beyond, they are drawn
+    from the same distribution without one, see mask_lookahead.py and mask_levels.py.
+
     Attributes:
-        masks: all masks in binary order, the first dimension the highest bit; [2^n, n] bool, True
-            where the dimension counts. Row 0 masks everything, the last row is the full goal.
+        goal_size: number of goal dimensions n.
     """
 
     def __init__(
-        self, goal_size: int, c_g: float = 0.1, kappa: float = 32.0, history: int = 10
+        self,
+        goal_size: int,
+        c_g: float = 0.1,
+        kappa: float = 32.0,
+        history: int = 10,
+        mask_levels: bool = False,
     ) -> None:
         """Make a sampler that has seen no evaluation.
 
         Args:
-            goal_size: number of goal dimensions n.
+            goal_size: number of goal dimensions n, at most 512.
             c_g: the success rate aimed at, in [0, 1].
             kappa: sharpness, 0 (uniform) to 10^6.
             history: h, how many of the latest evaluation episodes count.
+            mask_levels: draw a difficulty first, then a mask of that difficulty: a method of this
+                project, for goals of many dimensions, nearly all of whose masks are far from c_g.
 
         Raises:
             ValueError: an argument out of its range.
@@ -40,10 +53,13 @@ class MaskSampler:
         _check_number("c_g", c_g, 0, 1, Real)
         _check_number("kappa", kappa, 0, 1e6, Real)
         _check_number("history", history, 1, 10**6, Integral)
-        self.masks = _all_masks(goal_size)
+        if not isinstance(mask_levels, bool):
+            raise ValueError(f"mask_levels: {mask_levels!r} is neither True nor False")
+        self.goal_size = int(goal_size)
         self._c_g, self._kappa, self._history = float(c_g), float(kappa), int(history)
-        self._outcomes = np.zeros((0, goal_size), bool)
-        self._probabilities = self._compute_probabilities()
+        self._mask_levels = mask_levels
+        self._outcomes = np.zeros((0, self.goal_size), bool)
+        self._distribution = self._make_distribution()
 
     @property
     def outcomes(self) -> np.ndarray:
@@ -62,18 +78,38 @@ class MaskSampler:
         return self._outcomes.mean(axis=0)
 
     @property
+    def masks(self) -> np.ndarray:
+        """All masks in binary order, the first dimension the highest bit; [2^n, n] bool.
+
+        True where the dimension counts. Row 0 masks everything, the last row is the full goal.
+
+        Raises:
+            ValueError: a goal of more than ten dimensions has too many.
+        """
+        return self._table().masks.copy()
+
+    @property
     def success_rates(self) -> np.ndarray:
-        """c_m, estimated success of every mask, as if sub-goals succeeded independently; [2^n]."""
-        return np.where(self.masks, self.subgoal_rates, 1.0).prod(axis=1)
+        """c_m, estimated success of every mask, as if sub-goals succeeded independently; [2^n].
+
+        Raises:
+            ValueError: as `masks`.
+        """
+        return self._table().success_rates.copy()
 
     @property
     def probabilities(self) -> np.ndarray:
-        """p(m), proportional to (1 - |c_m - c_g|)^kappa, [2^n].
+        """p(m), proportional to (1 - |c_m - c_g|)^kappa unless a difficulty is drawn first; [2^n].
 
-        The paper prints |c_m - c_g|^kappa, which would prefer masks far from c_g; its text and
-        the authors' program say near.
+        Raises:
+            ValueError: as `masks`.
         """
-        return self._probabilities.copy()
+        return self._table().probabilities.copy()
+
+    @property
+    def full_goal_probability(self) -> float:
+        """Probability of drawing the full goal."""
+        return self._distribution.full_goal_probability
 
     def record(self, subgoal_success: ArrayLike) -> None:
         """Add evaluation episodes: the full goal, no exploration noise.
@@ -86,7 +122,7 @@ class MaskSampler:
             ValueError: another shape, or something else than 0 and 1.
         """
         rows = np.atleast_2d(np.asarray(subgoal_success))
-        goal_size = self.masks.shape[1]
+        goal_size = self.goal_size
         if rows.ndim != 2 or rows.shape[1] != goal_size:
             raise ValueError(
                 f"subgoal_success: shape {np.shape(subgoal_success)} is neither ({goal_size},) "
@@ -95,32 +131,30 @@ class MaskSampler:
         if not np.isin(rows, (0, 1)).all():
             raise ValueError("subgoal_success: holds something else than 0 and 1")
         self._outcomes = np.concatenate([self._outcomes, rows.astype(bool)])[-self._history :]
-        self._probabilities = self._compute_probabilities()
+        self._distribution = self._make_distribution()
 
     def sample(self, generator: np.random.Generator) -> np.ndarray:
         """Draw a mask, [n] bool."""
-        index = generator.choice(len(self.masks), p=self._probabilities)
-        return self.masks[index].copy()
+        return self._distribution.draw(generator, 1)[0]
 
-    def _compute_probabilities(self) -> np.ndarray:
-        """In log space, so that no kappa underflows; uniform where every weight is 0."""
-        closeness = 1.0 - np.abs(self.success_rates - self._c_g)
-        logits = np.zeros_like(closeness)
-        if self._kappa > 0 and closeness.any():
-            with np.errstate(divide="ignore"):
-                logits = self._kappa * np.log(closeness)
-        weights = np.exp(logits - logits.max())
-        return weights / weights.sum()
+    def _make_distribution(self) -> MaskTable | MaskLookahead | MaskLevels:
+        aim = (self.subgoal_rates, self._c_g, self._kappa)
+        if self.goal_size <= MAX_TABULATED:
+            return MaskTable(*aim, self._mask_levels)
+        return MaskLevels(*aim) if self._mask_levels else MaskLookahead(*aim)
+
+    def _table(self) -> MaskTable:
+        if not isinstance(self._distribution, MaskTable):
+            raise ValueError(
+                f"goals of {self.goal_size} dimensions have too many masks for a table, which "
+                f"serves up to {MAX_TABULATED}"
+            )
+        return self._distribution
 
 
 def mask_generator(seed: int | None) -> np.random.Generator:
     """Random numbers for masks, independent of an environment's own under the same seed."""
     return np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
-
-
-def _all_masks(goal_size: int) -> np.ndarray:
-    indices = np.arange(2**goal_size)[:, None]
-    return ((indices >> np.arange(goal_size)[::-1]) & 1).astype(bool)
 
 
 def _check_number(name: str, value: float, low: float, high: float, kind: type) -> None:

@@ -55,5 +55,5 @@ class CurriculumEvalCallback(EvalCallback):
             sampler = self.training_env.get_attr("sampler", indices=0)[0]
             for i, rate in enumerate(sampler.subgoal_rates):
                 self.logger.record(f"curriculum/subgoal_success_{i}", float(rate))
-            self.logger.record("curriculum/full_goal_probability", float(sampler.probabilities[-1]))
+            self.logger.record("curriculum/full_goal_probability", sampler.full_goal_probability)
         return going_on

@@ -44,6 +44,7 @@ class VectorGoalMasking(
         distance_threshold: ArrayLike | None = None,
         distance: Distance = "euclidean",
         history: int = 10,
+        mask_levels: bool = False,
         evaluating: bool = False,
     ) -> None:
         """Wrap a vector environment.
@@ -57,6 +58,7 @@ class VectorGoalMasking(
                 attribute of this name.
             distance: "euclidean" or "per_dimension".
             history: h.
+            mask_levels: draw a difficulty first.
             evaluating: always the full goal.
 
         Raises:
@@ -79,7 +81,7 @@ class VectorGoalMasking(
         if distance_threshold is None:
             distance_threshold = _own_threshold(env)
         self.rule = make_rule(goals.shape[0], distance_threshold, distance)
-        self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history)
+        self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history, mask_levels)
         self.evaluating = evaluating
         self._generators = [mask_generator(None) for _ in range(env.num_envs)]
         self._masks = np.ones((env.num_envs, goals.shape[0]), bool)

@@ -26,7 +26,7 @@ class Asked(NamedTuple):
         groups: what to train; None to resume a directory.
         start: a file or a directory to start from; None for from scratch.
         start_run: which run of it; None if it has one only.
-        shard: of which sweep `groups` are a part, if they are one.
+        shard: which part of a sweep the groups are, if they are one.
     """
 
     preset: str
@@ -45,20 +45,32 @@ class Asked(NamedTuple):
 
 
 def asked_for(options: TrainingOptions) -> Asked:
-    """What options ask for.
+    """What options ask for: a whole sweep, or with --shard a part of it.
 
     Raises:
         SettingError: they are out of their range or in contradiction, or ask for nothing that
             could be trained.
     """
-    file = SettingsFile()
+    text = getattr(options, "shard", None)
+    piece = None if text is None else parse_shard(text)
+    if piece is not None and options.resume is not None:
+        raise SettingError("resume: a sweep resumes as it was begun, without shard")
+    asked = _whole(options)
+    if piece is None or asked.groups is None:
+        return asked
+    groups, shard = cut(asked.groups, *piece)
+    return asked._replace(groups=groups, shard=shard)
+
+
+def _whole(options: TrainingOptions) -> Asked:
+    resumes, file = options.resumes(), SettingsFile()
     if options.config is not None:
         file = read_settings_file(options.config)
         file.require_named(but=given_settings(options))
     components = {kind: file.named(kind) for kind in NAMES}
     chosen = seed_values(options, chosen_values(options, components))
     preset = options.preset or file.preset or options.default_preset
-    if options.resumes():
+    if resumes:
         return Asked(preset, chosen, None)
     if file.runs is None:
         fields = LOOP_FIELDS | builtin_fields() | own_fields({**components, **chosen})
@@ -77,19 +89,6 @@ def asked_for(options: TrainingOptions) -> Asked:
             f"config: {options.config} has {count} runs; cgm_jax.sweep takes several"
         )
     return Asked(AGAIN, chosen, groups, options.start or file.start, options.from_run)
-
-
-def part_of(asked: Asked, text: str) -> Asked:
-    """Of what is asked for only the part "I/N".
-
-    Raises:
-        SettingError: there is no such part, or a directory is resumed, which knows its own.
-    """
-    piece = parse_shard(text)
-    if asked.groups is None:
-        raise SettingError("resume: a sweep resumes as it was begun, without shard")
-    groups, shard = cut(asked.groups, *piece)
-    return asked._replace(groups=groups, shard=shard)
 
 
 def _check_single(chosen: Grid) -> None:

@@ -84,9 +84,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                     if start is not None:
                         directory.write_start(start)
                     groups = [job.group for job in jobs]
-                    directory.write_config(
-                        groups, asked.preset, device, origin=asked.origin, shard=asked.shard
-                    )
+                    directory.write_config(groups, asked.preset, device, asked.shard, asked.origin)
                 else:
                     notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
@@ -163,7 +161,7 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
         raise SettingError(f"from: {out} was begun from {then}, not from {now}")
     recorded = directory.groups()
     if directory.shard() != asked.shard:
-        raise SettingError(f"out: {out} holds another part, or another sweep, than is asked for")
+        raise SettingError(f"out: {out} already holds another part, or a whole sweep")
     check_same(out, recorded, asked.groups)
     return recorded
 
@@ -202,7 +200,8 @@ def _train(
         options: how often to write checkpoints, and whether to write a table.
         shown: what is on the terminal until training ends.
         progress: part of that.
-        tracking: is told of rows, and of what came of them.
+        tracking: is told of every epoch.
+        tracking: is told of every epoch.
     """
     from cgm_jax.host.runner import run_jobs
 
@@ -224,10 +223,10 @@ def _train(
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
     figures = _draw_figures(directory)
-    if options.csv or directory.has_csv():
-        directory.write_csv()
     if rows is not None and tracking.name is not None:
         _show_results(directory, rows, figures, tracking)
+    if options.csv or directory.has_csv():
+        directory.write_csv()
     return ExitCode.STOPPED if rows is None else _verdict(rows)
 
 

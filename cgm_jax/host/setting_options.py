@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import tyro
 
-from cgm_jax.config.components import ROOMS, builtin, builtin_fields, owners
+from cgm_jax.config.components import DEFAULTS, ROOMS, builtin, builtin_fields, owners
 from cgm_jax.config.fields import Field
-from cgm_jax.config.grid import DEFAULTS
 from cgm_jax.config.presets import PRESETS, Grid, preset_grid
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.config.spelling import SWITCH, layers_of, spelled

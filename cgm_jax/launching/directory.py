@@ -21,9 +21,6 @@ CHECKPOINT_SECONDS = 60
 CARRIED = ("JAX_", "XLA_", "MUJOCO_", "CGM_JAX_", "PYTHONPATH", "XDG_STATE_HOME")
 """Variables that go along to other machines, by how their names begin."""
 
-PATH_OPTIONS = ("--config", "--from")
-"""Options of a sweep whose value is a path."""
-
 MAX_BYTES = 2**24
 
 
@@ -183,20 +180,14 @@ def absolute_path(path: Path) -> Path:
 
 def absolute_words(words: Sequence[str]) -> tuple[str, ...]:
     """Options of a sweep that hold in any working directory."""
-    made, before = [], ""
+    made = []
     for word in words:
         option, equals, value = word.partition("=")
         if equals and option.startswith("--"):
-            made.append(f"{option}={_absolute(option, value)}")
+            made.append(f"{option}={absolute(value)}")
         else:
-            made.append(_absolute(before, word))
-        before = word
+            made.append(absolute(word))
     return tuple(made)
-
-
-def _absolute(option: str, word: str) -> str:
-    """An option's value that holds in any working directory."""
-    return str(Path(word).absolute()) if option in PATH_OPTIONS else absolute(word)
 
 
 def carried_environment() -> dict[str, str]:

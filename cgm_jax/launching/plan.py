@@ -11,11 +11,10 @@ import tyro
 
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group
+from cgm_jax.config.grid import Group, build_groups
 from cgm_jax.config.named import is_own, load_named, require_named
 from cgm_jax.config.shards import MAX_PARTS
-from cgm_jax.host.asked import asked_for
-from cgm_jax.host.command_line import chosen_values, parse
+from cgm_jax.host.command_line import chosen_values, parse, seed_values
 from cgm_jax.launching.directory import (
     LAUNCH,
     Launch,
@@ -28,7 +27,7 @@ from cgm_jax.sweep import SweepOptions
 
 PROGRAM = "python -m cgm_jax.launch"
 ENGINES = ("local", "slurm", "ray")
-OWN = ("out", "resume", "shard", "dry_run", "csv")
+OWN = ("out", "resume", "shard")
 """Options of a sweep that a launch gives to its parts itself."""
 
 RANGES = {
@@ -203,14 +202,21 @@ def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
     """
     options = parse(SweepOptions, words, f"{PROGRAM} --")
     for name in OWN:
-        if getattr(options, name):
+        if getattr(options, name) is not None:
             raise SettingError(f"{name}: goes before --, or is the launch's own")
-    asked = asked_for(options)
-    groups = asked.groups or []
+    for name, option in (("config", "config"), ("start", "from"), ("dry_run", "dry_run")):
+        if getattr(options, name):
+            raise SettingError(f"{option}: a launch takes its sweep from options alone")
+    chosen = seed_values(options, chosen_values(options))
+    options.resumes()  # checks the rest
+    preset = options.preset or options.default_preset
+    groups = build_groups(preset, chosen)
     for kind, text in _own_code(options):
-        importlib.import_module("cgm_jax.envs")  # MJX without its remarks, ahead of Brax
+        importlib.import_module(
+            "cgm_jax.envs.quiet_import"
+        )  # MJX without its remarks, ahead of Brax
         load_named(kind, text)
-    return groups, asked.preset
+    return groups, preset
 
 
 def _own_code(options: Any) -> list[tuple[str, str]]:

@@ -1,12 +1,25 @@
 """The environment that a setting names: a Fetch task, or one from the user's own file."""
 
+import shlex
+
+import jax
+
 from cgm_jax import envs
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.named import is_own, load_named
+from cgm_jax.config.named import (
+    FROM_CONFIG,
+    gymnasium_name,
+    is_gymnasium,
+    is_own,
+    load_named,
+    trust_of,
+)
 from cgm_jax.config.settings import Settings
 from cgm_jax.config.user_code import user_code
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.hosted.process import INTERPRETER, HostedProcess, other_interpreter
+from cgm_jax.envs.hosted.task import HostedTask
 from cgm_jax.envs.physics.native import NativePhysics
 from cgm_jax.loop.own_environment import checked
 
@@ -14,7 +27,8 @@ from cgm_jax.loop.own_environment import checked
 def make_environment(settings: Settings) -> GoalEnvironment:
     """Make `settings.env`: a name in `envs.TASKS`, FILE.py:FACTORY or package.module:FACTORY.
 
-    FACTORY is called without arguments and returns a `GoalEnvironment`.
+    FACTORY is called without arguments and returns a `GoalEnvironment`. gymnasium:ID, or
+    gymnasium:MODULE:ID, is an environment of Gymnasium's.
 
     Raises:
         SettingError: no such environment, engine, file or factory; a setting that the
@@ -24,6 +38,8 @@ def make_environment(settings: Settings) -> GoalEnvironment:
     if is_own(settings.env):
         if settings.engine != "auto" or settings.air_probability is not None:
             raise SettingError("env: --engine and --air-probability are for the Fetch tasks")
+        if is_gymnasium(settings.env):
+            return _hosted(settings.env)
         return _from_file(settings.env)
     fields = {}
     if settings.air_probability is not None:
@@ -47,6 +63,21 @@ def compiles_physics(env: GoalEnvironment) -> bool:
     if isinstance(env, FetchEnvironment):
         return not isinstance(env.physics, NativePhysics)
     return getattr(env, "is_large", False)
+
+
+def _hosted(name: str) -> GoalEnvironment:
+    """A Gymnasium goal environment, in a process of its own."""
+    module, env_id = gymnasium_name(name)
+    if jax.default_backend() != "cpu":
+        raise SettingError("env: gymnasium: needs JAX on a CPU; set JAX_PLATFORMS=cpu")
+    trust = trust_of(name)
+    if module is not None and other_interpreter() and trust == FROM_CONFIG:
+        raise SettingError(f"env: name it, since {INTERPRETER} runs it: --env {shlex.quote(name)}")
+    try:
+        process = HostedProcess(name, env_id, module, trust)
+    except ValueError as error:
+        raise SettingError(str(error)) from None
+    return HostedTask(process)  # pyright: ignore[reportReturnType] -- its State is not brax's
 
 
 def _from_file(name: str) -> GoalEnvironment:

@@ -10,7 +10,7 @@ from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.rollout import Policy, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup, sizes
-from cgm_jax.loop.state import EpochStatistics, TrainingState, empty_statistics
+from cgm_jax.loop.state import EpochStatistics, TrainingState, init_statistics
 
 Metrics = dict[str, jax.Array]
 
@@ -51,7 +51,7 @@ def evaluate(
     return state.replace(
         key=key,
         curriculum=hyper.curriculum.after_evaluation(state.curriculum, outcomes, examined),
-        statistics=empty_statistics(setup.masks, hyper.agent.logged),
+        statistics=init_statistics(setup.masks, hyper.agent.logged),
     ), metrics
 
 

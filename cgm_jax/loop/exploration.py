@@ -9,6 +9,7 @@ without: long enough to carry something without letting it go.
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float
 
 from cgm_jax.config.settings import Hyperparameters
 
@@ -56,7 +57,9 @@ def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparamet
     )
 
 
-def explore(exploration: Exploration, action: jax.Array, *, perturb: bool = True) -> jax.Array:
+def explore(
+    exploration: Exploration, action: Float[Array, "*batch action"], *, perturb: bool = True
+) -> Float[Array, "*batch action"]:
     """The action [..., action_size] with its noise, within [-1, 1].
 
     Args:

@@ -6,8 +6,8 @@ logarithm over the environment's own. Both are 0 for the full goal, so that an e
 which serves that, needs none of it.
 """
 
-import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.normaliser import Normaliser, network_input
@@ -18,11 +18,11 @@ def network_inputs(
     setup: Setup,
     hyper: Hyperparameters,
     normaliser: Normaliser,
-    observation: jax.Array,
-    goal: jax.Array,
-    mask: jax.Array,
-    threshold: jax.Array,
-) -> jax.Array:
+    observation: Float[Array, "*batch o"],
+    goal: Float[Array, "*batch n"],
+    mask: Float[Array, "*batch n"],
+    threshold: Float[Array, "*batch"],
+) -> Float[Array, "*batch inputs"]:
     """Inputs [..., sizes.inputs] for observations [..., o] and masked goals [..., n].
 
     Args:

@@ -10,6 +10,7 @@ from cgm_jax.agents.protocol import Minibatch
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.divergence import freeze_if_failed
 from cgm_jax.loop.inputs import network_inputs
+from cgm_jax.loop.judging import reward_range, rewards
 from cgm_jax.loop.setup import Setup
 from cgm_jax.loop.state import TrainingState
 
@@ -34,8 +35,10 @@ def minibatches(
     prepared = Minibatch(
         inputs=see(drawn.observation, drawn.goal),
         action=drawn.action,
-        reward=drawn.reward,
+        reward=rewards(setup.env, drawn),
         next_inputs=see(drawn.next_observation, drawn.next_goal),
+        continues=drawn.continues,
+        reward_range=reward_range(setup.env),
     )
     return jax.tree.map(lambda rows: rows.reshape(updates, batch_size, *rows.shape[1:]), prepared)
 

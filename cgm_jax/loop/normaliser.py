@@ -21,6 +21,7 @@ from brax.training.acme import running_statistics
 from brax.training.acme.running_statistics import RunningStatisticsState
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
 
 from cgm_jax.replay.ring import Episodes
 
@@ -48,13 +49,13 @@ class Normaliser(struct.PyTreeNode):
     limit: jax.Array
 
 
-def initial_normaliser(
+def init_normaliser(
     observation_size: int, goal_size: int, *, limit: ArrayLike, distance_threshold: float
 ) -> Normaliser:
     """Statistics that have seen nothing."""
     return Normaliser(
-        observation=_blank(observation_size, distance_threshold),
-        goal=_blank(goal_size, distance_threshold),
+        observation=_init_statistics(observation_size, distance_threshold),
+        goal=_init_statistics(goal_size, distance_threshold),
         limit=jnp.asarray(limit, jnp.float32),
     )
 
@@ -62,7 +63,7 @@ def initial_normaliser(
 def observe(
     normaliser: Normaliser,
     episodes: Episodes,
-    valid: jax.Array,
+    valid: Bool[Array, " episodes"],
     *,
     floor: float,
     distance_threshold: float,
@@ -112,14 +113,16 @@ def with_statistics(
     return normaliser.replace(observation=taken("observation"), goal=taken("goal"))
 
 
-def network_input(normaliser: Normaliser, observation: jax.Array, goal: jax.Array) -> jax.Array:
+def network_input(
+    normaliser: Normaliser, observation: Float[Array, "*batch o"], goal: Float[Array, "*batch n"]
+) -> Float[Array, "*batch o+n"]:
     """Normalised observation and goal, [..., observation_size + goal_size]."""
     pairs = ((normaliser.observation, observation), (normaliser.goal, goal))
     parts = [(rows - statistics.mean) / statistics.std for statistics, rows in pairs]
     return jnp.clip(jnp.concatenate(parts, axis=-1), -normaliser.limit, normaliser.limit)
 
 
-def _blank(size: int, distance_threshold: float) -> RunningStatisticsState:
+def _init_statistics(size: int, distance_threshold: float) -> RunningStatisticsState:
     # The default std_eps is a Python number, whose weak type would not survive the first epoch
     # and would make the second one compile anew.
     state = running_statistics.init_state(jnp.zeros(size), std_eps=jnp.zeros(()))  # pyright: ignore

@@ -74,6 +74,30 @@ class OwnEnvironment:
         self.is_large = False
         if hasattr(env, "restart"):  # optional in the protocol
             self.restart = self._restart
+        if hasattr(env, "render_frame"):
+            self.render_frame = self._render_frame
+        self._name = name
+        self._take_rules(env, name)
+
+    def _take_rules(self, env: Any, name: str) -> None:
+        """What the environment has of a `JudgingEnvironment`."""
+        if hasattr(env, "goal_tolerance"):
+            self._tolerance = _tolerance(env, name)
+            self.goal_success = self._within_tolerance
+        if hasattr(env, "goal_success"):
+            self.goal_success = lambda achieved, desired: jnp.asarray(
+                env.goal_success(achieved, desired), bool
+            )
+        if hasattr(env, "goal_reward"):
+            self.reward_range = _reward_range(env, name)
+            self.goal_reward = lambda achieved, desired: jnp.clip(
+                jnp.asarray(env.goal_reward(achieved, desired), jnp.float32), *self.reward_range
+            )
+        if hasattr(env, "is_terminal"):
+            self.is_terminal = lambda state: jnp.asarray(env.is_terminal(state.state), bool)
+
+    def _within_tolerance(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return jnp.linalg.norm((achieved_goal - desired_goal) / self._tolerance) < 1.0
 
     def reset(self, rng: jax.Array) -> OwnState:
         """Start an episode."""
@@ -84,6 +108,21 @@ class OwnEnvironment:
         """Start an episode in a state that another one has visited."""
         after = self._env.restart(state.state)
         return OwnState(_as_before(state.state, after), jnp.zeros(()))
+
+    def _render_frame(self, state: Any, width: int, height: int) -> np.ndarray:
+        """A frame of a state of the user's environment, concrete.
+
+        Raises:
+            SettingError: it fails, or is no frame of that size.
+        """
+        with user_code("video", f"render_frame of {self._name}"):
+            frame = np.asarray(self._env.render_frame(state, width, height))
+        if frame.shape != (height, width, 3) or frame.dtype != np.uint8:
+            raise SettingError(
+                f"video: render_frame of {self._name} returns {_described(frame)}, "
+                f"not uint8[{height},{width},3]"
+            )
+        return frame
 
     def step(self, state: OwnState, action: jax.Array) -> OwnState:
         """Advance by one control step."""
@@ -147,6 +186,57 @@ def _distance_threshold(env: Any, name: str) -> float:
         return number
 
 
+def _tolerance(env: Any, name: str) -> np.ndarray:
+    """The tolerance per goal dimension [n], float32."""
+    low, high = THRESHOLDS
+    with user_code("env", f"goal_tolerance of {name}"):
+        value, shown = np.asarray(env.goal_tolerance), _shown(env.goal_tolerance)
+    if (
+        value.ndim != 1
+        or value.dtype.kind not in "fiu"
+        or not ((low <= value) & (value <= high)).all()
+    ):
+        raise SettingError(
+            f"env: goal_tolerance of {name} is {shown}, not one number per dimension, "
+            f"each within [{low:g}, {high:g}]"
+        )
+    if hasattr(env, "goal_success"):
+        raise SettingError(f"env: {name} has both goal_tolerance and goal_success")
+    return value.astype(np.float32)
+
+
+def _reward_range(env: Any, name: str) -> tuple[float, float]:
+    """Least and greatest of the environment's own rewards."""
+    with user_code("env", f"reward_range of {name}"):
+        value = getattr(env, "reward_range", None)
+        numbers = np.asarray(value, float) if value is not None else np.zeros(0)
+    fits = numbers.shape == (2,) and np.isfinite(numbers).all() and numbers[0] < numbers[1]
+    if not fits:
+        raise SettingError(
+            f"env: {name} has goal_reward, so it needs reward_range, (least, greatest); "
+            f"it is {_shown(value)}"
+        )
+    return float(numbers[0]), float(numbers[1])
+
+
+def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
+    """Trace the environment's own rules, without running them."""
+    goal = jax.ShapeDtypeStruct(first.obs["desired_goal"].shape, np.float32)
+    tolerance = getattr(own, "_tolerance", None)
+    if tolerance is not None and tolerance.shape != goal.shape:
+        raise SettingError(
+            f"env: goal_tolerance of {name} has shape {tolerance.shape}, goals have {goal.shape}"
+        )
+    for rule in ("goal_success", "goal_reward", "is_terminal"):
+        if not hasattr(own, rule):
+            continue
+        with user_code("env", f"{rule} of {name}"):
+            inputs = (first,) if rule == "is_terminal" else (goal, goal)
+            shape = jax.eval_shape(getattr(own, rule), *inputs).shape
+        if shape != ():
+            raise SettingError(f"env: {rule} of {name} returns shape {shape}, not a scalar")
+
+
 def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
     """Trace reset and step without running them, alone and as training maps them.
 
@@ -163,6 +253,7 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
         second = jax.eval_shape(env.step, first.state, action)
     _check_entries(second, f"step of {name}")
     _check_alike(first.state, _with_unread_of(first.state, second), name, "step")
+    _check_rules(own, name, first)
     if hasattr(env, "restart"):
         with user_code("env", f"restart of {name}"):
             again = jax.eval_shape(env.restart, first.state)

@@ -10,9 +10,10 @@ from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment
-from cgm_jax.loop.normaliser import initial_normaliser
-from cgm_jax.loop.state import TrainingState, empty_statistics
-from cgm_jax.replay.ring import empty_replay
+from cgm_jax.loop.judging import has_own_rules, may_end
+from cgm_jax.loop.normaliser import init_normaliser
+from cgm_jax.loop.state import TrainingState, init_statistics
+from cgm_jax.replay.ring import init_replay
 
 
 class Setup(NamedTuple):
@@ -64,7 +65,7 @@ def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
     )
 
 
-def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
+def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
     """The state of a run before any training; of its randomness, `hyper.seed` is all.
 
     Raises:
@@ -77,26 +78,33 @@ def initial_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
         name = type(hyper.curriculum).__module__.rpartition(".")[2]
         least = hyper.curriculum.needs_critics
         raise SettingError(f"critics: {known.critics}, but curriculum {name} needs {least} or more")
+    if hyper.curriculum.shows_threshold and has_own_rules(setup.env):
+        name = type(hyper.curriculum).__module__.rpartition(".")[2]
+        raise SettingError(
+            f"curriculum: {name} varies the distance threshold, but env has a rule of success "
+            "of its own"
+        )
     key, agent_key = jax.random.split(jax.random.key(hyper.seed))
     length = known.episode_length
     return TrainingState(
         key=key,
         agent=hyper.agent.init(agent_key, known),
         curriculum=hyper.curriculum.init(known),
-        normaliser=initial_normaliser(
+        normaliser=init_normaliser(
             known.observation,
             known.goal,
             limit=settings.normaliser_limit,
             distance_threshold=known.distance_threshold,
         ),
-        replay=empty_replay(
+        replay=init_replay(
             max(settings.replay_transitions // length, settings.environments),
             length,
             known.observation,
             known.goal,
             known.action,
+            may_end=may_end(setup.env),
         ),
-        statistics=empty_statistics(setup.masks, hyper.agent.logged),
+        statistics=init_statistics(setup.masks, hyper.agent.logged),
         env_steps=jnp.zeros((), jnp.int32),
         updates=jnp.zeros((), jnp.int32),
         failure=jnp.zeros((), jnp.int32),

@@ -56,7 +56,7 @@ class TrainingState(struct.PyTreeNode):
     failure: jax.Array
 
 
-def empty_statistics(masks: int, logged: tuple[str, ...]) -> EpochStatistics:
+def init_statistics(masks: int, logged: tuple[str, ...]) -> EpochStatistics:
     """Statistics at the start of an epoch.
 
     Args:

@@ -20,7 +20,7 @@ from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cycle import cycle
 from cgm_jax.loop.devices import ON_EACH, SPREAD, Device, mesh_of, on_mesh, spread
 from cgm_jax.loop.evaluation import Metrics, evaluate
-from cgm_jax.loop.setup import Setup, initial_state, make_setup
+from cgm_jax.loop.setup import Setup, init_state, make_setup
 from cgm_jax.loop.state import TrainingState
 
 
@@ -51,7 +51,7 @@ def make_trainer(env: GoalEnvironment, settings: Settings) -> Trainer:
     setup = make_setup(env, settings)
     return Trainer(
         setup=setup,
-        init=partial(initial_state, setup),
+        init=partial(init_state, setup),
         train=partial(train_cycles, setup),
         evaluate=partial(evaluate, setup),
         epoch=partial(epoch, setup),

@@ -2,7 +2,8 @@
 
 Andrychowicz et al. (2017), strategy "future": a relabelled transition at step t gets the goal
 achieved at a uniformly drawn later step t' of {t+1..T}, with the full mask. The others keep
-their episode's own goal and mask.
+their episode's own goal and mask. Where the environment ended an episode, T is its last step, and
+what ended it ends it whatever the goal, as in Stable-Baselines3's HER.
 
 With the filter on, only episodes that moved the achieved goal are relabelled. In the others every
 hindsight goal is achieved from the start by doing nothing, and early on, while an arm has yet to
@@ -12,9 +13,10 @@ mask, as GS-HER does (2026, arXiv 2606.09476).
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
 
 from cgm_jax.config.fields import settings, traced
-from cgm_jax.curricula.goals import apply_mask, is_achieved
+from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Relabelling, Transitions
 from cgm_jax.replay.ring import Replay, size
 
@@ -51,8 +53,10 @@ class Future(Relabelling):
             _drawn_among(eligible, for_episode),
             integer_below(jnp.maximum(size(replay), 1), for_episode),
         )
-        step = integer_below(episode_length, for_step)
-        future = step + 1 + integer_below(episode_length - step, for_future)
+        ends = None if episodes.length is None else episodes.length[episode]
+        steps = episode_length if ends is None else jnp.minimum(ends, episode_length)
+        step = integer_below(steps, for_step)
+        future = step + 1 + integer_below(steps - step, for_future)
 
         hindsight_goal = episodes.achieved_goal[episode, future]
         goal = jnp.where(relabel[:, None], hindsight_goal, episodes.desired_goal[episode])
@@ -69,6 +73,8 @@ class Future(Relabelling):
             reward=jnp.where(is_achieved(goal, mask, next_achieved, threshold), 0.0, -1.0),
             next_observation=episodes.observation[episode, step + 1],
             next_goal=apply_mask(goal, mask, next_achieved),
+            next_achieved=next_achieved,
+            continues=None if ends is None else (step + 1 != ends).astype(jnp.float32),
         )
 
     def idle(self) -> frozenset[str]:
@@ -76,19 +82,23 @@ class Future(Relabelling):
         return frozenset() if self.her else frozenset({"her_k", "her_filter", "her_masks"})
 
 
-def moved_goal(achieved_goal: jax.Array, distance_threshold: float) -> jax.Array:
+def moved_goal(
+    achieved_goal: Float[Array, "E steps n"], distance_threshold: float
+) -> Bool[Array, " E"]:
     """Whether episodes moved their achieved goal [E, T + 1, n], [E] bool; see `MIN_MOTION`."""
     strayed = jnp.linalg.norm(achieved_goal[:, 1:] - achieved_goal[:, :1], axis=-1).max(axis=1)
     return strayed > MIN_MOTION * distance_threshold
 
 
-def _drawn_among(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
+def _drawn_among(
+    eligible: Bool[Array, " C"], uniform: Float[Array, " count"]
+) -> Int[Array, " count"]:
     """Turn numbers uniform in [0, 1) into indices, uniform among those that are eligible."""
     count = jnp.cumsum(eligible)
     return jnp.searchsorted(count, 1 + integer_below(count[-1], uniform))
 
 
-def integer_below(bound: int | jax.Array, uniform: jax.Array) -> jax.Array:
+def integer_below(bound: int | jax.Array, uniform: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """Turn numbers uniform in [0, 1) into integers uniform in {0..bound - 1}.
 
     Far cheaper to compile than `jax.random.randint`. JAX's float32 draws have 23 bits, which makes

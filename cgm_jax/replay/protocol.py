@@ -4,7 +4,7 @@ It is a class of settings (see `config/fields.py`) with one pure function of one
 vmaps over runs, the settings included.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 from flax import struct
@@ -21,7 +21,11 @@ class Transitions(struct.PyTreeNode):
         mask: [..., n].
         threshold: the goal is achieved closer than this, [...].
         action: [..., action_size].
-        reward: 0 where the next state achieves the masked goal, else -1; [...].
+        reward: 0 where the next state achieves the masked goal, else -1; [...]. Where the
+            environment has a rule of its own the loop puts that in its place.
+        next_achieved: the goal achieved in the next state, [..., n].
+        continues: 0 where the next state is terminal, else 1; [...]. None where the environment
+            ends no episodes (`Episodes.length`).
     """
 
     observation: jax.Array
@@ -32,8 +36,11 @@ class Transitions(struct.PyTreeNode):
     reward: jax.Array
     next_observation: jax.Array
     next_goal: jax.Array
+    next_achieved: jax.Array | None = None
+    continues: jax.Array | None = None
 
 
+@runtime_checkable
 class Relabelling(Protocol):
     """A way to draw transitions and to choose their goals."""
 

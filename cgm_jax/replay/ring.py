@@ -7,6 +7,7 @@ step follow from one (goal, mask) pair and the achieved goals.
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Bool, Int
 
 
 class Episodes(struct.PyTreeNode):
@@ -19,6 +20,8 @@ class Episodes(struct.PyTreeNode):
         desired_goal: the goal before masking, [episodes, n].
         mask: [episodes, n] of 0 and 1.
         threshold: the goal is achieved closer than this, [episodes].
+        length: the steps until the environment ended the episode, or T + 1 where it did not,
+            int32 [episodes]; None where the environment never ends one.
     """
 
     observation: jax.Array
@@ -27,6 +30,7 @@ class Episodes(struct.PyTreeNode):
     desired_goal: jax.Array
     mask: jax.Array
     threshold: jax.Array
+    length: jax.Array | None = None
 
 
 class Replay(struct.PyTreeNode):
@@ -41,10 +45,16 @@ class Replay(struct.PyTreeNode):
     inserted: jax.Array
 
 
-def empty_replay(
-    capacity: int, episode_length: int, observation_size: int, goal_size: int, action_size: int
+def init_replay(
+    capacity: int,
+    episode_length: int,
+    observation_size: int,
+    goal_size: int,
+    action_size: int,
+    *,
+    may_end: bool = False,
 ) -> Replay:
-    """A ring for `capacity` episodes.
+    """A ring for `capacity` episodes, which `may_end` before their last step.
 
     Raises:
         ValueError: the capacity is below 1.
@@ -58,11 +68,12 @@ def empty_replay(
         desired_goal=jnp.zeros((capacity, goal_size)),
         mask=jnp.zeros((capacity, goal_size)),
         threshold=jnp.zeros(capacity),
+        length=jnp.zeros(capacity, jnp.int32) if may_end else None,
     )
     return Replay(episodes, jnp.zeros((), jnp.int32))
 
 
-def insert(replay: Replay, episodes: Episodes, valid: jax.Array) -> Replay:
+def insert(replay: Replay, episodes: Episodes, valid: Bool[Array, " batch"]) -> Replay:
     """Insert the valid ones of a batch of episodes, in order, over the oldest.
 
     Args:
@@ -86,6 +97,6 @@ def insert(replay: Replay, episodes: Episodes, valid: jax.Array) -> Replay:
     )
 
 
-def size(replay: Replay) -> jax.Array:
+def size(replay: Replay) -> Int[Array, ""]:
     """Number of episodes that the ring holds, int32 scalar."""
     return jnp.minimum(replay.inserted, replay.episodes.mask.shape[0])

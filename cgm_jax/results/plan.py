@@ -19,6 +19,7 @@ class Plan:
         seed: of starts and goals, the same for every policy.
         mask: goal axes that count as achieved, letters of `AXES`; "" is the full goal.
         recorded: of how many episodes, the first ones, to keep every state.
+        view: whether they are for MuJoCo's viewer, and not for a video.
         engine: physics engine to use instead of the one in the settings, or None.
 
     Raises:
@@ -29,6 +30,7 @@ class Plan:
     seed: int
     mask: str = ""
     recorded: int = 0
+    view: bool = False
     engine: str | None = None
 
     def __post_init__(self) -> None:

@@ -1,7 +1,8 @@
 """Success of exported policies, or of random actions, and the episodes behind it."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -10,19 +11,20 @@ import numpy as np
 from flax import struct
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group
 from cgm_jax.config.settings import Hyperparameters, Settings
-from cgm_jax.curricula.goals import is_achieved
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
-from cgm_jax.envs.physics.protocol import PhysicsState
+from cgm_jax.envs.rendering import RenderingError, check_rendering
+from cgm_jax.envs.viewer import check_display
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
+from cgm_jax.loop.judging import succeeds
+from cgm_jax.loop.own_environment import OwnEnvironment
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
 from cgm_jax.replay.ring import Episodes
+from cgm_jax.results.chosen import Policies
 from cgm_jax.results.plan import AXES, Plan
 from cgm_jax.storage.policies import act, load_policy
-from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:
     from brax.envs.base import State
@@ -43,16 +45,17 @@ CHUNK_ROWS = 4096
 
 
 class Recording(struct.PyTreeNode):
-    """Whole episodes of a Fetch environment, K of them.
+    """Whole episodes, K of them.
 
     Attributes:
-        states: of the physics, leading axes [T + 1, K].
-        desired_goal: [K, 3].
+        states: of a Fetch environment those of the physics, of one of the user's own its own,
+            leading axes [T + 1, K].
+        desired_goal: [K, n].
         achieved: whether the masked goal is, at every step, [K, T + 1] bool.
         valid: whether the physics held, [K] bool.
     """
 
-    states: PhysicsState
+    states: Any
     desired_goal: jax.Array
     achieved: jax.Array
     valid: jax.Array
@@ -82,53 +85,27 @@ class Outcome:
         return self.successes / max(1, self.valid)
 
 
-def evaluate_directory(
-    directory: RunDirectory,
-    plan: Plan,
-    only: str | None = None,
-    moved: Mapping[str, str] | None = None,
-    progress: Progress = lambda done, total: None,
+def evaluate_policies(
+    policies: Sequence[Policies], plan: Plan, progress: Progress = lambda done, total: None
 ) -> dict[str, Outcome]:
-    """Outcome of every policy in a run directory, by run name.
-
-    Runs without a policy, because their sweep was stopped early, are left out.
+    """Outcome of every policy, by name.
 
     Args:
-        directory: what a sweep or a training run has written.
+        policies: the files, each name once.
         plan: the episodes.
-        only: name of the one run to evaluate; None for all.
-        moved: environments that have been named again, see `RunDirectory.moved`.
         progress: is told of every chunk of episodes.
 
     Raises:
-        SettingError: a policy is malformed or made for something else, there is none, the plan
-            does not fit the environment, or the user has not named the environment's file.
+        SettingError: a policy is malformed or made for something else, or the plan does not fit
+            the environment.
     """
-    groups = directory.groups(moved)
-    if only is not None:
-        groups = [
-            replace(group, runs=tuple(run for run in group.runs if run.name == only))
-            for group in groups
-        ]
-        if not any(group.runs for group in groups):
-            raise SettingError(f"run: {directory.path} holds no run {only!r}")
-    trained = [
-        replace(group, runs=tuple(run for run in group.runs if directory.policy_path(run).exists()))
-        for group in groups
-    ]
     # All environments first, so that what does not fit is refused before anything compiles.
-    pairs = [(planned_environment(one.settings, plan), one) for one in trained if one.runs]
-    if not pairs:
-        raise SettingError(f"{directory.path} holds no policy yet")
-    total, results = plan.episodes * sum(len(group.runs) for _, group in pairs), {}
-    for env, group in pairs:
+    pairs = [(planned_environment(each.settings, plan), each.files) for each in policies]
+    total, results = plan.episodes * sum(len(files) for _, files in pairs), {}
+    for env, files in pairs:
         before = plan.episodes * len(results)
-        results |= _evaluate_group(
-            env,
-            group,
-            directory,
-            plan,
-            lambda done, _, before=before: progress(before + done, total),
+        results |= _evaluate_files(
+            env, files, plan, lambda done, _, before=before: progress(before + done, total)
         )
     return results
 
@@ -166,18 +143,37 @@ def planned_environment(settings: Settings, plan: Plan) -> GoalEnvironment:
     """Make the environment that `settings` names, if the plan fits it.
 
     Raises:
-        SettingError: it does not: a video of something other than Fetch, a mask with more
-            dimensions than the goal.
+        SettingError: it does not: a mask with more dimensions than the goal, a video of what
+            cannot be rendered, or here.
     """
     if plan.engine is not None:
         settings = replace(settings, engine=plan.engine)
     env = make_environment(settings)
-    if plan.recorded and not isinstance(env, FetchEnvironment):
-        raise SettingError(f"video: only the Fetch tasks can be rendered, not {settings.env}")
+    if plan.recorded:
+        _check_shown(env, settings.env, plan)
     size = _goal_size(env)
     if beyond := [axis for axis in plan.mask if AXES.index(axis) >= size]:
         raise SettingError(f"mask: goals of {settings.env} have no {beyond[0]}")
     return env
+
+
+def _check_shown(env: GoalEnvironment, name: str, plan: Plan) -> None:
+    """Check that episodes can be shown: now, and not after the evaluation."""
+    shown_as = "view" if plan.view else "video"
+    if plan.view and not isinstance(env, FetchEnvironment):
+        raise SettingError(f"view: only the Fetch tasks have a scene of MuJoCo's, not {name}")
+    if not isinstance(env, FetchEnvironment) and not hasattr(env, "render_frame"):
+        raise SettingError(
+            f"video: {name} has no render_frame(state, width, height); "
+            "see envs.RenderableEnvironment"
+        )
+    try:
+        if plan.view:
+            check_display()
+        elif isinstance(env, FetchEnvironment):
+            check_rendering()
+    except RenderingError as error:
+        raise SettingError(f"{shown_as}: {error}") from None
 
 
 def goal_mask(mask: str, goal_size: int) -> np.ndarray:
@@ -187,20 +183,18 @@ def goal_mask(mask: str, goal_size: int) -> np.ndarray:
     return kept
 
 
-def _evaluate_group(
-    env: GoalEnvironment, group: Group, directory: RunDirectory, plan: Plan, progress: Progress
+def _evaluate_files(
+    env: GoalEnvironment, files: Mapping[str, Path], plan: Plan, progress: Progress
 ) -> dict[str, Outcome]:
-    sizes = _sizes(env)
+    sizes, paths = _sizes(env), list(files.values())
     try:
-        policies = [load_policy(directory.policy_path(run), *sizes) for run in group.runs]
+        policies = [load_policy(path, *sizes) for path in paths]
     except ValueError as error:
         raise SettingError(str(error)) from None
     shapes = [{name: array.shape for name, array in policy.items()} for policy in policies]
-    for run, shape in zip(group.runs, shapes, strict=True):
+    for path, shape in zip(paths, shapes, strict=True):
         if shape != shapes[0]:
-            first = directory.policy_path(group.runs[0])
-            path = directory.policy_path(run)
-            raise SettingError(f"{path}: its layers are others than those of {first}")
+            raise SettingError(f"{path}: its layers are others than those of {paths[0]}")
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *policies)
 
     def play(arrays: dict[str, jax.Array], chunk: Chunk, recorded: int) -> Result:
@@ -209,8 +203,8 @@ def _evaluate_group(
 
         return _play(env, policy, plan, chunk, recorded)
 
-    outcomes = _play_all(env, play, stacked, len(group.runs), plan, progress)
-    return {run.name: outcome for run, outcome in zip(group.runs, outcomes, strict=True)}
+    outcomes = _play_all(env, play, stacked, len(files), plan, progress)
+    return dict(zip(files, outcomes, strict=True))
 
 
 class Chunk(struct.PyTreeNode):
@@ -299,12 +293,16 @@ def _play(
     goals = drawn_goals(env, first)
     goals = goals.replace(mask=jnp.broadcast_to(mask, goals.mask.shape))
 
-    def keep(state: "State") -> PhysicsState | None:
-        return _first(recorded, state.pipeline_state) if recorded else None
+    def keep(state: "State") -> Any:
+        if not recorded:
+            return None
+        is_own = isinstance(env, OwnEnvironment)
+        kept = state.state if is_own else state.pipeline_state  # pyright: ignore
+        return _first(recorded, kept)
 
     rollout = roll_out(env, policy, first, goals, exploration, keep=keep)
     valid = rollout.outcomes.valid & chunk.counted
-    recording = _recording(rollout, recorded) if recorded else None
+    recording = _recording(env, rollout, recorded) if recorded else None
     return jnp.sum(valid & rollout.outcomes.success), jnp.sum(valid), recording
 
 
@@ -320,13 +318,16 @@ def _join(parts: list[Recording]) -> Recording | None:
     )
 
 
-def _recording(rollout: Rollout, count: int) -> Recording:
+def _recording(env: GoalEnvironment, rollout: Rollout, count: int) -> Recording:
     shown: Episodes = _first(count, rollout.episodes)
-    goal, mask, threshold = (x[:, None] for x in (shown.desired_goal, shown.mask, shown.threshold))
+    achieved = shown.achieved_goal
+    goal, mask = (
+        jnp.broadcast_to(rows[:, None], achieved.shape) for rows in (shown.desired_goal, shown.mask)
+    )
     return Recording(
         states=rollout.record,
         desired_goal=shown.desired_goal,
-        achieved=is_achieved(goal, mask, shown.achieved_goal, threshold),
+        achieved=succeeds(env, goal, mask, achieved, shown.threshold[:, None]),
         valid=rollout.outcomes.valid[:count],
     )
 

@@ -1,17 +1,19 @@
-"""Videos of Fetch episodes, as MP4 or GIF."""
+"""Videos of episodes, as MP4 or GIF."""
 
 import contextlib
 import errno
 import itertools
 import os
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 
 import imageio_ffmpeg
+import jax
 import numpy as np
 from PIL import Image
 
+from cgm_jax.envs import RenderableEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
 from cgm_jax.results.policies import Recording, goal_mask
@@ -24,19 +26,33 @@ GIF_COLOURS = 256
 
 
 def video_frames(
-    env: FetchEnvironment, recording: Recording, mask: str, width: int
+    env: FetchEnvironment | RenderableEnvironment, recording: Recording, mask: str, width: int
 ) -> Iterator[np.ndarray]:
     """Frames [height, width, 3] of the valid episodes of a recording, one after another.
 
     Args:
-        env: what was recorded.
+        env: what was recorded: a Fetch environment, or a `RenderableEnvironment`.
         recording: whole episodes of it.
-        mask: masked axes, as `evaluation.Plan` has them.
+        mask: masked axes, as `evaluation.Plan` has them; only Fetch environments draw it.
         width: of a frame, pixels; the height is three quarters of it.
 
     Raises:
         RenderingError: this machine cannot render.
+        SettingError: the user's environment fails to, or returns no frame of that size.
     """
+    if isinstance(env, FetchEnvironment):
+        frames = _fetch_frames(env, recording, mask, width)
+    else:
+        frames = _own_frames(env, recording, width)
+    with contextlib.closing(frames):
+        for frame, last in frames:
+            yield from [frame] * (HELD_FRAMES if last else 1)
+
+
+def _fetch_frames(
+    env: FetchEnvironment, recording: Recording, mask: str, width: int
+) -> Generator[tuple[np.ndarray, bool], None, None]:
+    """Frames, and whether they are the last of their episode."""
     positions = env.physics.positions(recording.states)
     goals, achieved = np.asarray(recording.desired_goal), np.asarray(recording.achieved)
     kept = goal_mask(mask, goals.shape[-1]).tolist()
@@ -45,8 +61,17 @@ def video_frames(
             for step, row in enumerate(positions[:, episode]):
                 reached = bool(achieved[episode, step])
                 frame = renderer.frame(row, goals[episode], achieved=reached, mask=kept)
-                last = step == len(positions) - 1
-                yield from [frame] * (HELD_FRAMES if last else 1)
+                yield frame, step == len(positions) - 1
+
+
+def _own_frames(
+    env: RenderableEnvironment, recording: Recording, width: int
+) -> Generator[tuple[np.ndarray, bool], None, None]:
+    steps = recording.achieved.shape[1]
+    for episode in np.flatnonzero(recording.valid):
+        for step in range(steps):
+            state = jax.tree.map(lambda rows, at=(step, episode): rows[at], recording.states)
+            yield env.render_frame(state, width, width * 3 // 4), step == steps - 1
 
 
 def count_frames(recording: Recording) -> int:

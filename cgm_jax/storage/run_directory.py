@@ -113,18 +113,17 @@ class RunDirectory:
         groups: list[Group],
         preset: str,
         device: str,
-        *,
-        origin: str | None = None,
         shard: Shard | None = None,
+        origin: str | None = None,
     ) -> None:
         """Record how to run the sweep again.
 
         Args:
-            groups: what it trains.
-            preset: where their settings come from.
+            groups: what is trained.
+            preset: with which it began.
             device: what JAX computes on.
-            origin: what it starts from, of which start.npz has the arrays; None for from scratch.
             shard: of which sweep the groups are a part, if they are one.
+            origin: what it starts from, of which start.npz has the arrays; None for from scratch.
 
         Raises:
             SettingError: a run's name cannot be that of a file.
@@ -138,8 +137,8 @@ class RunDirectory:
                 "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
                 "preset": preset,
                 "started": _now(),
-                **({} if origin is None else {"from": origin}),
                 **({} if shard is None else {"shard": asdict(shard)}),
+                **({} if origin is None else {"from": origin}),
                 "groups": [
                     {"runs": [{"name": run.name, **run.values} for run in group.runs]}
                     for group in groups

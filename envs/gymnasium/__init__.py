@@ -10,3 +10,5 @@ forking.py       says so where a fork would make JAX hang
 frames.py        rendered frames
 mujoco_copy.py   the simulation as MuJoCo's own model and data
 """
+
+from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax

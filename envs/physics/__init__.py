@@ -7,3 +7,5 @@ weld.py      the term of welds that MJX lacks
 choose.py    "auto" and the engines' names
 deferred.py  an engine that starts at its first use
 """
+
+from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax

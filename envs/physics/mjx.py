@@ -52,18 +52,18 @@ class MjxPhysics:
         self._blocked = jnp.asarray(scene.blocked_addresses, jnp.int32)
         self._substeps = scene.substeps
         self._model = mjx.put_model(scene.model, impl=implementation)
-        self._blank = mjx.make_data(scene.model, impl=implementation)
+        self._template = mjx.make_data(scene.model, impl=implementation)
         self._weld_term = WeldTerm(scene.model)
 
     def start(self, positions: jax.Array) -> PhysicsState:
         """A simulation at rest at the generalised positions [nq]."""
-        data = self._blank.replace(qpos=positions)
+        data = self._template.replace(qpos=positions)
         return self._observe(data)
 
     def advance(self, state: PhysicsState, target: ControlTarget) -> PhysicsState:
         """Pursue the target for one control step (0.04 s)."""
         motion: Motion = state.engine_state
-        data = self._blank.replace(
+        data = self._template.replace(
             qpos=motion.positions.at[self._blocked].set(0.0),
             qvel=motion.velocities,
             qacc_warmstart=motion.acceleration_guess,

@@ -3,12 +3,16 @@
 # pyright: reportAttributeAccessIssue=false
 
 import dataclasses
+import json
+import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import mujoco
@@ -22,13 +26,17 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
+from cgm_jax.pretrained import NAMES, RECORD, pretrained_policy
 from cgm_jax.results import policies
+from cgm_jax.results.chosen import chosen_policies
 from cgm_jax.results.plan import Plan
-from cgm_jax.results.policies import Outcome, Recording, evaluate_directory, evaluate_random
+from cgm_jax.results.policies import Outcome, Recording, evaluate_policies, evaluate_random
+from cgm_jax.results.statistics import wilson_interval
 from cgm_jax.results.video import write_video
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.envs.surface import can_render
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 REACH = Settings(env="reach", engine="native")
 
 
@@ -55,6 +63,12 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunDirectory
         yield directory
 
 
+def evaluate(
+    directory: RunDirectory, plan: Plan, run: str | None = None, progress: Any = lambda *_: None
+) -> dict[str, Outcome]:
+    return evaluate_policies(chosen_policies(directory.path, None, run, {}), plan, progress)
+
+
 def grips(recording: Recording) -> np.ndarray:
     """Positions [T + 1, K, 3] of the grip, by MuJoCo itself from the recorded states."""
     env = make_environment(REACH)
@@ -72,7 +86,7 @@ def grips(recording: Recording) -> np.ndarray:
 def test_success_is_that_of_the_policies_and_recordings_show_their_states(
     directory: RunDirectory,
 ) -> None:
-    outcomes = evaluate_directory(directory, Plan(episodes=40, seed=3, recorded=25))
+    outcomes = evaluate(directory, Plan(episodes=40, seed=3, recorded=25))
     assert list(outcomes) == ["still", "straight"]
     straight, still = outcomes["straight"], outcomes["still"]
     assert (straight.valid, straight.successes) == (40, 40)
@@ -86,14 +100,14 @@ def test_success_is_that_of_the_policies_and_recordings_show_their_states(
 
 def test_success_under_a_mask_is_that_of_the_kept_axes(directory: RunDirectory) -> None:
     plan = Plan(episodes=60, seed=3, mask="xz", recorded=60)
-    still = evaluate_directory(directory, plan, only="still")["still"]
+    still = evaluate(directory, plan, "still")["still"]
     assert still.recording is not None
     offset = grips(still.recording)[-1] - np.asarray(still.recording.desired_goal)
     achieved = np.abs(offset[:, 1]) < 0.05
     assert still.successes == achieved.sum()
     assert 5 < achieved.sum() < 40
     np.testing.assert_array_equal(still.recording.achieved[:, -1], achieved)
-    everything = evaluate_directory(directory, Plan(episodes=9, seed=3, mask="yxz"), "still")
+    everything = evaluate(directory, Plan(episodes=9, seed=3, mask="yxz"), "still")
     assert everything["still"].successes == 9
 
 
@@ -116,11 +130,11 @@ def test_chunks_do_not_change_what_is_found(
     directory: RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = Plan(episodes=50, seed=3, recorded=45)
-    whole = evaluate_directory(directory, plan)
+    whole = evaluate(directory, plan)
     told: list[tuple[int, int]] = []
     monkeypatch.setattr(policies, "CHUNK_EPISODES", 20)
     monkeypatch.setattr(policies, "CHUNK_ROWS", 20)  # one policy after the other
-    cut = evaluate_directory(directory, plan, progress=lambda *counts: told.append(counts))
+    cut = evaluate(directory, plan, progress=lambda *counts: told.append(counts))
     assert told == [(done, 100) for done in (20, 40, 50, 70, 90, 100)]
     assert list(whole) == list(cut)
     for name, outcome in whole.items():
@@ -222,6 +236,47 @@ def test_videos_hold_the_frames_in_real_time(suffix: str, tmp_path: Path) -> Non
     assert np.abs(np.asarray(shown) - expected).max() < 12
 
 
+@pytest.mark.parametrize("suffix", ["gif", "mp4"])
+def test_a_video_stopped_midway_leaves_what_was_there_and_nothing_else(
+    suffix: str, tmp_path: Path
+) -> None:
+    def frames() -> Iterator[np.ndarray]:
+        yield from [np.zeros((48, 64, 3), np.uint8)] * 200
+        raise KeyboardInterrupt
+
+    for before in ({}, {f"video.{suffix}": b"an older one"}):
+        for name, data in before.items():
+            (tmp_path / name).write_bytes(data)
+        with pytest.raises(KeyboardInterrupt):
+            write_video(tmp_path / f"video.{suffix}", frames())
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["gif", "mp4"])
+def test_ctrl_c_in_the_middle_of_a_video_is_one_line_and_leaves_no_file(
+    suffix: str, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", "reach"]
+    command += ["--video", str(tmp_path / f"video.{suffix}"), "--video-episodes", "100"]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.endswith("frames\n"):
+                break
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == 75
+    assert [line for line in error.splitlines() if not line.endswith("frames")] == ["stopping"]
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "taken.mp4").mkdir()
     with pytest.raises(OSError, match="Is a directory"):
@@ -229,8 +284,16 @@ def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 
 
 BAD_INPUT = {
-    "": "directory: name one",
-    "runs --random --env reach": "random: goes with --env, not with a directory",
+    "": "source: name a run directory or a policy file",
+    "runs --random --env reach": "source: random and a directory or a file do not go together",
+    "runs --pretrained reach": "source: pretrained and a directory or a file do not go together",
+    "--pretrained slide": "pretrained: no policy 'slide'; choose from reach, push, pick_and_place",
+    "--pretrained reach --env push": "env: --pretrained names its task itself",
+    "--pretrained reach --run x": "run: goes with a run directory",
+    "nowhere.npz --env reach": "source: there is no file nowhere.npz",
+    "nowhere.npz --run x": "run: goes with a run directory, not with a policy file",
+    "README.md --env reach": "README.md holds no sweep",
+    "--pretrained reach --view --video a.gif": "view: shows what --video writes",
     "--random": "env: --random needs one",
     "--random --env reach push": "env: --random needs one",
     "nowhere --env reach": "nowhere holds no sweep",
@@ -243,18 +306,93 @@ BAD_INPUT = {
     "--random --env reach --video nowhere/out.gif": "video: nowhere is no directory",
     "--random --env reach --video a.gif --video-width 100": "video_width: 100 is not a multiple",
     "--random --env tests/examples/point_mass.py:PointMass --mask z": "have no z",
-    "--random --env tests/examples/point_mass.py:PointMass --video a.gif": "only the Fetch tasks",
+    "--random --env tests/cgm_jax/own_environments.py:Base --video a.gif": "has no render_frame",
+    "--random --env tests/examples/point_mass.py:PointMass --view": "only the Fetch tasks have",
 }
 
 
 @pytest.mark.parametrize("arguments", BAD_INPUT)
 def test_bad_input_is_refused_by_name(arguments: str) -> None:
-    if "PointMass --video" in arguments and not can_render():
-        pytest.skip("this machine has no off-screen rendering")
     with pytest.raises(SettingError) as refusal:
         main(arguments.split())
     assert BAD_INPUT[arguments] in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_policy_file_is_evaluated_in_the_environment_of_its_run_or_in_a_named_one(
+    directory: RunDirectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = directory.groups()[0].runs[1]
+    directory.write_improvement(run, 7, reaching_policy(15.0))
+    improvement = directory.path / "policies/improvements/straight_epoch7.npz"
+    elsewhere = tmp_path / "mine.npz"
+    shutil.copy(improvement, elsewhere)
+    assert main([str(improvement), "--episodes", "20"]) == 0
+    assert main([str(elsewhere), "--env", "reach", "--episodes", "20"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("(")[0].split() for line in lines] == [
+        ["straight_epoch7", "100.0", "%"],
+        ["mine", "100.0", "%"],
+    ]
+    with pytest.raises(SettingError, match=r"env: name the environment of .*mine\.npz"):
+        main([str(elsewhere)])
+    with pytest.raises(SettingError, match="made for observations of size 10, not 25"):
+        main([str(elsewhere), "--env", "push"])
+    with pytest.raises(SettingError, match="was trained with reach, not push"):
+        main([str(improvement), "--env", "push"])
+
+
+def test_an_environment_of_ones_own_draws_its_own_video(tmp_path: Path) -> None:
+    path = tmp_path / "out.gif"
+    own = f"{EXAMPLES / 'point_mass.py'}:PointMass"
+    options = ["--episodes", "3", "--video", str(path), "--video-episodes", "2"]
+    assert main(["--random", "--env", own, *options, "--video-width", "64"]) == 0
+    recording = evaluate_random(
+        Settings(env=own), Plan(episodes=3, seed=1000, recorded=2)
+    ).recording
+    assert recording is not None
+    goal = np.asarray(recording.desired_goal)[0]
+    with Image.open(path) as video:
+        first = np.asarray(video.convert("RGB"))
+        durations = sum(
+            (video.seek(frame), video.info["duration"])[1] for frame in range(video.n_frames)
+        )
+    assert durations == 2 * (26 + 11) * 40  # 26 states, the last stands for 12 frames
+    rows, columns = np.nonzero((first[..., 1] > 100) & (first[..., 0] < 100))  # green
+    drawn = np.array([columns.mean() / 64, 1 - rows.mean() / 48]) * 4 - 2
+    np.testing.assert_allclose(drawn, goal, atol=0.15)
+
+
+def test_a_frame_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
+    code = (EXAMPLES / "point_mass.py").read_text().replace("np.uint8)", "np.int32)")
+    (tmp_path / "mine.py").write_text(code)
+    own = f"{tmp_path / 'mine.py'}:PointMass"
+    video = tmp_path / "out.gif"
+    with pytest.raises(SettingError, match=r"returns int32\[48,64,3\], not uint8\[48,64,3\]"):
+        main(["--random", "--env", own, "--video", str(video), "--video-width", "64"])
+    assert not video.exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_policies_that_come_with_the_package_are_as_good_as_their_record_says(name: str) -> None:
+    recorded = json.loads(RECORD.read_text())[name]
+    assert recorded["episodes"] == 1000
+    assert recorded["success_rate"] >= {"pick_and_place": 0.93}.get(name, 0.98)
+    outcome = evaluate_policies(
+        chosen_policies(None, name, None, {}), Plan(episodes=60, seed=1000)
+    )[name]
+    low, high = wilson_interval(outcome.successes, outcome.valid, z=3.3)
+    assert low <= recorded["success_rate"] <= high
+    assert pretrained_policy(name).stat().st_size < 300_000
+
+
+@pytest.mark.skipif(bool(os.environ.get("DISPLAY")), reason="there is a display here")
+def test_without_a_display_the_viewer_is_refused_before_anything_is_evaluated(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SettingError, match=r"^view: there is no display here; --video FILE\.mp4"):
+        main(["--pretrained", "reach", "--view"])
+    assert capsys.readouterr().out == ""
 
 
 def test_unknown_runs_are_refused(directory: RunDirectory) -> None:

@@ -11,7 +11,7 @@ import optax
 from flax import struct
 
 from cgm_jax.agents.gradients import ADAM, descend
-from cgm_jax.agents.networks import apply_actor, initial_actor
+from cgm_jax.agents.networks import apply_actor, init_actor
 from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
 from cgm_jax.config.fields import settings, static, traced
 from cgm_jax.config.sizes import Sizes
@@ -35,7 +35,7 @@ class MyAgent(Agent[MyState]):
     width: int = static(64, "units in each of two hidden layers", 1, 10**5)
 
     def init(self, key: jax.Array, sizes: Sizes) -> MyState:
-        actor = initial_actor(key, (self.width, self.width), sizes.inputs, sizes.action)
+        actor = init_actor(key, (self.width, self.width), sizes.inputs, sizes.action)
         return MyState(actor, ADAM.init(actor))
 
     def act(self, state: MyState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:

@@ -1,6 +1,9 @@
 """A point in the plane that must be pushed to a goal: a Gymnasium goal environment in numpy.
 
-The rules of point_mass.py, for libraries that train without JAX.
+The rules of point_mass.py, for libraries that train without JAX; and here, where it is stepped in a
+process of its own:
+
+    python -m cgm_jax.train --env gymnasium:tests.examples.numpy_point_mass:NumpyPointMass-v0
 """
 
 from typing import Any
@@ -58,3 +61,6 @@ class NumpyPointMass(gymnasium.Env[Any, np.ndarray]):
             "achieved_goal": self._position.copy(),
             "desired_goal": self._goal.copy(),
         }
+
+
+gymnasium.register("NumpyPointMass-v0", f"{__name__}:NumpyPointMass", max_episode_steps=25)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax.envs.base import State
 
 
@@ -34,6 +35,15 @@ class PointMass:
         position, velocity = jnp.split(state.obs["observation"], 2)
         velocity = 0.7 * velocity + 0.5 * action
         return self._state(position + 0.1 * velocity, velocity, state.obs["desired_goal"])
+
+    def render_frame(self, state: State, width: int, height: int) -> np.ndarray:
+        """Optional: a frame for videos, of [-2, 2]^2; the goal is green, the point black."""
+        frame = np.full((height, width, 3), 255, np.uint8)
+        for entry, colour in (("desired_goal", (0, 160, 0)), ("achieved_goal", (0, 0, 0))):
+            x, y = np.clip((state.obs[entry] + 2.0) / 4.0, 0.0, 1.0)
+            row, column = int((1.0 - y) * height), int(x * width)
+            frame[max(row - 2, 0) : row + 2, max(column - 2, 0) : column + 2] = colour
+        return frame
 
     def _state(self, position: jax.Array, velocity: jax.Array, goal: jax.Array) -> State:
         achieved = jnp.linalg.norm(position - goal) < self.distance_threshold

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
 
 from cgm_jax.curricula.protocol import View
 
@@ -19,12 +20,12 @@ def achieved_goals(key: jax.Array, view: View, shape: tuple[int, ...]) -> jax.Ar
 
 
 def nearest_success(
-    points: jax.Array,
-    practised: jax.Array,
-    success: jax.Array,
-    filled: jax.Array,
+    points: Float[Array, "m d"],
+    practised: Float[Array, "N d"],
+    success: Bool[Array, " N"],
+    filled: Bool[Array, " N"],
     neighbours: int,
-) -> jax.Array:
+) -> Float[Array, " m"]:
     """Estimated success rate [m] of points: the mean over the nearest that were practised.
 
     Args:
@@ -45,12 +46,12 @@ def nearest_success(
     return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan)
 
 
-def between(rates: jax.Array, least: ArrayLike, most: ArrayLike) -> jax.Array:
+def between(rates: Float[Array, " m"], least: ArrayLike, most: ArrayLike) -> Bool[Array, " m"]:
     """Which success rates are neither too low nor too high; those that are NaN are not."""
     return (rates >= least) & (rates <= most)
 
 
-def draw_eligible(key: jax.Array, eligible: jax.Array, count: int) -> jax.Array:
+def draw_eligible(key: jax.Array, eligible: Bool[Array, " m"], count: int) -> Int[Array, " count"]:
     """Indices [count], uniform among the eligible ones of [m]; among all if there is none."""
     logits = jnp.where(eligible | ~eligible.any(), 0.0, -jnp.inf)
     return jax.random.categorical(key, logits, shape=(count,))

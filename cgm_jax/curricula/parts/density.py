@@ -2,13 +2,15 @@
 
 import math
 
-import jax
 import jax.numpy as jnp
 from jax.scipy.special import logsumexp
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 
-def log_density(points: jax.Array, samples: jax.Array, bandwidth: ArrayLike) -> jax.Array:
+def log_density(
+    points: Float[Array, "*points n"], samples: Float[Array, "m n"], bandwidth: ArrayLike
+) -> Float[Array, "*points"]:
     """Logarithm of the density [...] at points [..., n] that samples [m, n] suggest.
 
         log (1 / m) sum_j N(x; x_j, bandwidth^2 I)

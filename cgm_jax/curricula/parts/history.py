@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Shaped
 
 
 class SuccessHistory(struct.PyTreeNode):
@@ -18,13 +19,13 @@ class SuccessHistory(struct.PyTreeNode):
     count: jax.Array
 
 
-def empty_history(length: int, columns: int) -> SuccessHistory:
+def init_history(length: int, columns: int) -> SuccessHistory:
     """A history of the last `length` rollouts that has seen none."""
     return SuccessHistory(jnp.zeros((length, columns)), jnp.zeros((), jnp.int32))
 
 
 def record_successes(
-    history: SuccessHistory, successes: jax.Array, valid: jax.Array
+    history: SuccessHistory, successes: Shaped[Array, "k columns"], valid: Bool[Array, " k"]
 ) -> SuccessHistory:
     """Append evaluation rollouts; the oldest beyond the history's length drop out.
 
@@ -45,7 +46,7 @@ def record_successes(
     )
 
 
-def success_rates(history: SuccessHistory, default: ArrayLike) -> jax.Array:
+def success_rates(history: SuccessHistory, default: ArrayLike) -> Float[Array, " columns"]:
     """Success rate of every column over the history; `default` before any evaluation."""
     length = history.successes.shape[0]
     filled = jnp.arange(length) >= length - history.count
@@ -53,7 +54,7 @@ def success_rates(history: SuccessHistory, default: ArrayLike) -> jax.Array:
     return jnp.where(history.count > 0, total / jnp.maximum(history.count, 1), default)
 
 
-def subgoal_rates(history: SuccessHistory, c_g: ArrayLike) -> jax.Array:
+def subgoal_rates(history: SuccessHistory, c_g: ArrayLike) -> Float[Array, " n"]:
     """Success rate [n] per sub-goal over the history.
 
     Before any evaluation it is c_g^(1/n), so that the full goal is estimated at c_g.

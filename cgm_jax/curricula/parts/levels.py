@@ -30,6 +30,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
 from cgm_jax.curricula.parts.lookahead import log_weight
 
@@ -57,8 +58,8 @@ class LevelReport(NamedTuple):
 
 
 def draw_masks_by_difficulty(
-    key: jax.Array, rates: jax.Array, c_g: ArrayLike, kappa: ArrayLike, count: int
-) -> tuple[jax.Array, jax.Array]:
+    key: jax.Array, rates: Float[Array, " n"], c_g: ArrayLike, kappa: ArrayLike, count: int
+) -> tuple[Float[Array, "count n"], Float[Array, " count"]]:
     """Draw a difficulty c, p(c) proportional to (1 - |c - c_g|)^kappa, and a uniform mask of it.
 
     Difficulties that no mask has are left out.
@@ -84,7 +85,7 @@ def draw_masks_by_difficulty(
     return walk_back(rates, shares, levels, uniform)
 
 
-def count_masks(rates: jax.Array) -> jax.Array:
+def count_masks(rates: Float[Array, " n"]) -> Float[Array, "n+1 2 levels"]:
     """Shares of the masks of the first k dimensions, by levels descended, [n + 1, 2, LEVELS].
 
     For k = 0, ..., n: the share that descends exactly d levels, S_k(d), and at least d, T_k(d).
@@ -106,7 +107,9 @@ def count_masks(rates: jax.Array) -> jax.Array:
     return jnp.concatenate([nothing_kept[None], rest])
 
 
-def level_probabilities(shares: jax.Array, c_g: ArrayLike, kappa: ArrayLike) -> jax.Array:
+def level_probabilities(
+    shares: Float[Array, "2 levels"], c_g: ArrayLike, kappa: ArrayLike
+) -> Float[Array, " levels"]:
     """Probability of drawing a mask of each level, [LEVELS]; the last one is difficulty 0.
 
     Args:
@@ -120,8 +123,8 @@ def level_probabilities(shares: jax.Array, c_g: ArrayLike, kappa: ArrayLike) -> 
 
 
 def probabilities_by_difficulty(
-    success_rates: jax.Array, c_g: ArrayLike, kappa: ArrayLike
-) -> jax.Array:
+    success_rates: Float[Array, " m"], c_g: ArrayLike, kappa: ArrayLike
+) -> Float[Array, " m"]:
     """Probability of drawing each mask where all of them are in a table, difficulty first.
 
     Args:
@@ -133,8 +136,8 @@ def probabilities_by_difficulty(
 
 
 def _difficulty_first(
-    success_rates: jax.Array, shares: jax.Array, c_g: ArrayLike, kappa: ArrayLike
-) -> jax.Array:
+    success_rates: Float[Array, " m"], shares: Float[Array, " m"], c_g: ArrayLike, kappa: ArrayLike
+) -> Float[Array, " m"]:
     """Probabilities [m] of kinds of masks, given their success rates and how many there are."""
     difficulty = difficulty_of(success_rates)
     of_difficulty = jnp.zeros(DIFFICULTIES).at[difficulty].add(shares)
@@ -145,8 +148,11 @@ def _difficulty_first(
 
 
 def walk_back(
-    rates: jax.Array, shares: jax.Array, levels: jax.Array, uniform: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+    rates: Float[Array, " n"],
+    shares: Float[Array, "n+1 2 levels"],
+    levels: Int[Array, " E"],
+    uniform: Float[Array, "n E"],
+) -> tuple[Float[Array, "E n"], Float[Array, " E"]]:
     """Uniform masks of given levels.
 
     Args:
@@ -177,12 +183,12 @@ def walk_back(
     return keep.T.astype(jnp.float32), estimates
 
 
-def difficulty_of(estimates: jax.Array) -> jax.Array:
+def difficulty_of(estimates: Float[Array, " m"]) -> Int[Array, " m"]:
     """Index, int32, of the difficulty that a mask's c_m is nearest to."""
     return jnp.round(estimates * (DIFFICULTIES - 1)).astype(jnp.int32)
 
 
-def report_levels(masks: jax.Array, estimates: jax.Array) -> LevelReport:
+def report_levels(masks: Float[Array, "E n"], estimates: Float[Array, " E"]) -> LevelReport:
     """What many masks, drawn by whatever rule, practise.
 
     From 1,024 draws a share has a standard error of at most 1.6 percentage points.

@@ -9,14 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import xlogy
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.curricula.protocol import Goals, with_mask
 
 MAX_TABULATED = 10
 """Dimensions of a goal up to which all 2^n masks are tabulated."""
 
 
-def goal_masks(goal_size: int) -> jax.Array:
+def goal_masks(goal_size: int) -> Float[Array, "masks n"]:
     """All masks of a goal, in binary order with the first dimension as the highest bit.
 
     Args:
@@ -52,7 +54,9 @@ def check_tabulated(setting: str, what: str, goal_size: int) -> None:
         )
 
 
-def mask_success_rates(masks: jax.Array, subgoal_rates: jax.Array) -> jax.Array:
+def mask_success_rates(
+    masks: Float[Array, "masks n"], subgoal_rates: Float[Array, " n"]
+) -> Float[Array, " masks"]:
     """Estimated success rate of every mask, if sub-goals were achieved independently.
 
     Section III: c_m is the product of the rates of the kept dimensions, so the all-zero mask
@@ -68,7 +72,9 @@ def mask_success_rates(masks: jax.Array, subgoal_rates: jax.Array) -> jax.Array:
     return jnp.prod(jnp.where(masks > 0, subgoal_rates, 1.0), axis=-1)
 
 
-def mask_probabilities(success_rates: jax.Array, c_g: ArrayLike, kappa: ArrayLike) -> jax.Array:
+def mask_probabilities(
+    success_rates: Float[Array, " masks"], c_g: ArrayLike, kappa: ArrayLike
+) -> Float[Array, " masks"]:
     """Probability of drawing each mask: p(m) proportional to (1 - |c_m - c_g|)^kappa.
 
     The paper prints |c_m - c_g|^kappa, which would prefer masks *far* from c_g; its text and
@@ -90,19 +96,27 @@ def mask_probabilities(success_rates: jax.Array, c_g: ArrayLike, kappa: ArrayLik
     return jax.nn.softmax(jnp.where(possible, logits, 0.0))
 
 
-def proportional(weights: jax.Array) -> jax.Array:
+def proportional(weights: Float[Array, " m"]) -> Float[Array, " m"]:
     """Probabilities in proportion to weights [m] of at least 0; uniform where all are 0."""
     total = weights.sum()
     some = total > 0.0
     return jnp.where(some, weights / jnp.where(some, total, 1.0), 1.0 / len(weights))
 
 
-def sample_masks(key: jax.Array, probabilities: jax.Array, count: int) -> jax.Array:
+def sample_masks(
+    key: jax.Array, probabilities: Float[Array, " masks"], count: int
+) -> Int[Array, " count"]:
     """Draw mask indices [count], int32, with the given probabilities [m]."""
     return jax.random.categorical(key, jnp.log(probabilities), shape=(count,))
 
 
-def mask_indices(masks: jax.Array) -> jax.Array:
+def draw_from_table(drawn: Goals, key: jax.Array, probabilities: Float[Array, " masks"]) -> Goals:
+    """The environment's goals, under masks drawn with the given probabilities [2^n]."""
+    count, goal_size = drawn.mask.shape
+    return with_mask(drawn, goal_masks(goal_size)[sample_masks(key, probabilities, count)])
+
+
+def mask_indices(masks: Float[Array, "*batch n"]) -> Int[Array, "*batch"]:
     """Rows of `goal_masks` that masks [..., n] are, int32 [...]."""
     place = 2 ** np.arange(masks.shape[-1])[::-1]
     return (masks.astype(jnp.int32) * place).sum(axis=-1, dtype=jnp.int32)

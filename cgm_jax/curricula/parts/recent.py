@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Bool, Float, Shaped
 
 
 class Recent(struct.PyTreeNode):
@@ -19,13 +20,13 @@ class Recent(struct.PyTreeNode):
     recorded: jax.Array
 
     @property
-    def filled(self) -> jax.Array:
+    def filled(self) -> Bool[Array, " N"]:
         """Which slots hold a row, [N] bool."""
         length = jax.tree.leaves(self.rows)[0].shape[0]
         return jnp.arange(length) < self.recorded
 
 
-def empty_recent(like: Any, length: int) -> Recent:
+def init_recent(like: Any, length: int) -> Recent:
     """A ring that has seen nothing.
 
     Args:
@@ -36,7 +37,7 @@ def empty_recent(like: Any, length: int) -> Recent:
     return Recent(rows, jnp.zeros((), jnp.int32))
 
 
-def record(recent: Recent, rows: Any, valid: jax.Array) -> Recent:
+def record(recent: Recent, rows: Any, valid: Bool[Array, " k"]) -> Recent:
     """Put the valid ones of some rows into the ring, in order, over the oldest.
 
     Args:
@@ -57,7 +58,7 @@ def record(recent: Recent, rows: Any, valid: jax.Array) -> Recent:
     )
 
 
-def mean_of(recent: Recent, values: jax.Array) -> jax.Array:
+def mean_of(recent: Recent, values: Shaped[Array, " N"]) -> Float[Array, ""]:
     """Mean of values [N] over the filled slots; NaN while there is none."""
     total = jnp.sum(jnp.where(recent.filled, values, 0.0))
     count = recent.filled.sum()

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
 
 
 class Windows(struct.PyTreeNode):
@@ -23,13 +24,16 @@ class Windows(struct.PyTreeNode):
     inserted: jax.Array
 
 
-def empty_windows(things: int, length: int) -> Windows:
+def init_windows(things: int, length: int) -> Windows:
     """Windows over the latest `length` episodes that have seen none."""
     return Windows(jnp.zeros((things, length)), jnp.zeros(things, jnp.int32))
 
 
 def record_episodes(
-    windows: Windows, thing: jax.Array, success: jax.Array, valid: jax.Array
+    windows: Windows,
+    thing: Int[Array, " E"],
+    success: Bool[Array, " E"],
+    valid: Bool[Array, " E"],
 ) -> Windows:
     """Append a batch of episodes, in order; the oldest of the same thing drop out.
 
@@ -52,7 +56,7 @@ def record_episodes(
     )
 
 
-def progress(windows: Windows) -> jax.Array:
+def progress(windows: Windows) -> Float[Array, " things"]:
     """Change of each thing's success rate, [things] in [-1, 1]; 0 before its second episode.
 
     Of k episodes in the window, the latest k // 2 are compared with as many before them.
@@ -65,7 +69,7 @@ def progress(windows: Windows) -> jax.Array:
     return (gained - had) / jnp.maximum(half, 1)
 
 
-def window_rates(windows: Windows, default: ArrayLike) -> jax.Array:
+def window_rates(windows: Windows, default: ArrayLike) -> Float[Array, " things"]:
     """Success rate of each thing over its window, [things]; `default` before its first episode."""
     filled = _filled(windows)
     seen = _ages(windows) < filled[:, None]

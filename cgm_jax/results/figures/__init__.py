@@ -50,7 +50,8 @@ MAX_DOTS = 30_000
 def draw_figures(directory: RunDirectory) -> list[Path]:
     """Draw the figures of a sweep into its directory, each on its own.
 
-    One that has nothing to show, or cannot be drawn, is a line on standard error.
+    One that makes no sense for these runs is left out. One that would be looked for and has nothing
+    to show, or that cannot be drawn, is a line on standard error.
 
     Returns:
         Paths of those that were drawn.
@@ -75,7 +76,8 @@ def draw_figures(directory: RunDirectory) -> list[Path]:
             paths.append(path)
         except NothingToDraw as reason:
             path.unlink(missing_ok=True)  # of an older version, which drew it in any case
-            print(f"{path.name} is not drawn: {reason}", file=sys.stderr)
+            if reason.missed:
+                print(f"{path.name} is not drawn: {reason}", file=sys.stderr)
         except Exception as error:  # what is wrong with one figure costs no other
             line = str(error).partition("\n")[0]
             print(f"{path} is not drawn: {type(error).__name__}: {line}", file=sys.stderr)

@@ -21,7 +21,16 @@ NO_VALUE = "none"
 
 
 class NothingToDraw(ValueError):  # noqa: N818 -- no error of the program
-    """Why a figure would be empty."""
+    """Why a figure would be empty.
+
+    Attributes:
+        missed: whether who trained these runs would look for the figure; else it makes no sense for
+            what was asked, and nothing need be said.
+    """
+
+    def __init__(self, reason: str, *, missed: bool = False) -> None:
+        super().__init__(reason)
+        self.missed = missed
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cgm_jax.agents.gradients import NoisyMinibatch
 from cgm_jax.agents.networks import apply_actor, apply_gaussian_actor
-from cgm_jax.agents.sac import SAC, NoisyMinibatch, SACState, sample
+from cgm_jax.agents.sac import SAC, SACState, sample
 from tests.cgm_jax.agents.oracle import (
     SIZES,
     action_value,
@@ -40,6 +41,7 @@ def sampled(actor: object, inputs: np.ndarray, noise: np.ndarray) -> tuple[np.nd
 
 def test_the_density_of_actions_matches_numpy_and_integrates_to_one() -> None:
     state, batch = example()
+    assert batch.noise is not None
     inputs, noise = in_numpy((batch.inputs, batch.noise))
     action, log_probability = sample(state.actor, batch.inputs, batch.noise)
     expected, expected_log = sampled(in_numpy(state.actor), inputs, noise)
@@ -55,6 +57,7 @@ def test_the_density_of_actions_matches_numpy_and_integrates_to_one() -> None:
 
 def test_the_density_is_finite_where_actions_saturate() -> None:
     state, batch = example()
+    assert batch.noise is not None
     huge = jax.tree.map(lambda leaf: 1e3 * leaf, state.actor)
     action, log_probability = sample(huge, batch.inputs, batch.noise)
     assert float(jnp.abs(action).max()) == 1.0
@@ -66,7 +69,7 @@ def test_the_density_is_finite_where_actions_saturate() -> None:
 def test_losses_match_numpy() -> None:
     state, batch = example()
     numbers = in_numpy(state)
-    inputs, action, reward, next_inputs, noise, next_noise = in_numpy(jax.tree.leaves(batch))
+    inputs, action, reward, next_inputs, next_noise, noise = in_numpy(jax.tree.leaves(batch))
     next_action, next_log = sampled(numbers.actor, next_inputs, next_noise)
     both = [action_value(critic, next_inputs, next_action) for critic in numbers.target_critic]
     assert (both[0] < both[1]).any()

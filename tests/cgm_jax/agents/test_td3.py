@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cgm_jax.agents.ddpg import DDPGState
-from cgm_jax.agents.td3 import TD3, NoisyMinibatch
+from cgm_jax.agents.gradients import NoisyMinibatch
+from cgm_jax.agents.td3 import TD3
 from tests.cgm_jax.agents.oracle import (
     SIZES,
     action_value,
@@ -24,7 +25,7 @@ def example() -> tuple[DDPGState, NoisyMinibatch]:
     state, other = (AGENT.init(jax.random.key(i), SIZES) for i in (0, 3))
     state = state.replace(target_actor=other.actor, target_critic=other.critic)
     noise = jax.random.normal(jax.random.key(2), (16, 2))
-    return state, NoisyMinibatch(**vars(example_batch()), noise=noise)
+    return state, NoisyMinibatch(**vars(example_batch()), next_noise=noise)
 
 
 def test_losses_match_numpy() -> None:
@@ -57,7 +58,9 @@ def test_losses_match_numpy() -> None:
 def test_actor_and_targets_wait_for_every_second_update() -> None:
     state, _ = example()
     batches = example_batch(2, seed=1)
-    first = NoisyMinibatch(**vars(jax.tree.map(lambda rows: rows[0], batches)), noise=jnp.ones(2))
+    first = NoisyMinibatch(
+        **vars(jax.tree.map(lambda rows: rows[0], batches)), next_noise=jnp.ones(2)
+    )
     once, _ = AGENT.update_critic(state, first)
     for name in ("actor", "target_actor", "target_critic"):
         assert_equal(getattr(once, name), getattr(state, name))

@@ -19,7 +19,7 @@ from cgm_jax.config.named import label, load_named, name_now, require_named
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A machine on which nothing has been named, and a process that has imported nothing."""
     modules, finders = dict(sys.modules), list(sys.meta_path)
-    for names in ("_named_now", "_from_config"):
+    for names in ("_named_now", "_from_config", "_texts_named_now", "_texts_from_config"):
         monkeypatch.setattr(named, names, set())
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     yield tmp_path / "state"

@@ -11,6 +11,7 @@ from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
 from cgm_jax.config.shards import cut, parse_shard
+from cgm_jax.host.asked import Asked
 from cgm_jax.host.session import _recorded_groups
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -81,11 +82,12 @@ def test_a_directory_knows_which_part_it_holds(groups: list[Group], tmp_path: Pa
         directory.write_config(pieces, "smoke", "cpu", shard=shard)
     assert directory.shard() == shard
     assert directory.groups() == pieces
-    assert _recorded_groups(directory.path, pieces, shard, {}) == pieces
+    asked = Asked("smoke", {}, pieces, shard=shard)
+    assert _recorded_groups(directory.path, asked, {}) == pieces
     # The same runs may be another part of another sweep.
     for other in (None, dataclasses.replace(shard, sweep="0"), dataclasses.replace(shard, parts=4)):
-        with pytest.raises(SettingError, match="already holds a sweep with other settings or runs"):
-            _recorded_groups(directory.path, pieces, other, {})
+        with pytest.raises(SettingError, match="already holds another part, or a whole sweep"):
+            _recorded_groups(directory.path, asked._replace(shard=other), {})
 
 
 @pytest.mark.parametrize(

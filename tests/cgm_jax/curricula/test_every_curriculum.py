@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cgm_jax.config.components import builtin
-from cgm_jax.config.fields import Field, SettingError, declared, stack
+from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
@@ -18,6 +18,11 @@ from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_chec
 from cgm_jax.loop.rollout import drawn_goals, reset
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, compilations, make_programs, make_trainer
+from tests.cgm_jax.protocols import (
+    assert_same,
+    assert_wrong_settings_are_refused_by_name,
+    other_values,
+)
 from tests.examples.point_mass import PointMass
 
 NAMES = sorted(builtin("curriculum"))
@@ -35,17 +40,6 @@ SETTINGS = Settings(
 TRAINER = make_trainer(ENV, SETTINGS)
 
 
-def other_value(item: "Field[Any]") -> Any:
-    """A value of a traced setting that is not its default."""
-    default: Any = item.default
-    if isinstance(default, bool):
-        return not default
-    if isinstance(default, int):
-        return default + 1
-    low = max(item.metadata["low"], default - 1.0)
-    return low + 0.3 * (min(item.metadata["high"], low + 2.0 * abs(default) + 1.0) - low)
-
-
 def critics_for(name: str) -> int:
     """One critic, which compiles fastest, or three where a curriculum asks for several."""
     try:
@@ -58,11 +52,7 @@ def critics_for(name: str) -> int:
 def two_runs(name: str) -> list[Hyperparameters]:
     """Two runs that differ in the seed and in every traced setting of the curriculum."""
     agent = {"hidden_layers": (8,), "target_update_every": 1, "critics": critics_for(name)}
-    others = {
-        item.name: other_value(item)
-        for item in declared(builtin("curriculum")[name])
-        if item.metadata["traced"]
-    }
+    others = other_values("curriculum", name)
     return [
         hyperparameters(curriculum=name, seed=0, **agent),
         hyperparameters(curriculum=name, seed=1, **agent, **others),
@@ -136,15 +126,6 @@ def outcomes(curriculum: Any, goals: Goals, valid: np.ndarray, invalid_success: 
         observation=observation,
         visited=first if curriculum.wants_visited else None,
     )
-
-
-def assert_same(one: Any, other: Any) -> None:
-    def words(leaf: jax.Array) -> np.ndarray:
-        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
-
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    jax.tree.map(lambda x, y: np.testing.assert_array_equal(words(x), words(y)), one, other)
 
 
 @pytest.fixture(params=NAMES)
@@ -229,9 +210,4 @@ def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
 
 
 def test_wrong_settings_are_refused_by_name(name: str) -> None:
-    for item in declared(builtin("curriculum")[name]):
-        low, high = item.metadata["low"], item.metadata["high"]
-        wrong = ["much", *(bound for bound in (low - 1, 2 * high + 1) if np.isfinite(bound))]
-        for bad in wrong:
-            with pytest.raises(SettingError, match=f"^{item.name}: "):
-                hyperparameters(curriculum=name, **{item.name: bad})
+    assert_wrong_settings_are_refused_by_name("curriculum", name)

@@ -6,14 +6,14 @@ import pytest
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.curricula.learnability import Learnability, learnable
-from cgm_jax.curricula.parts.history import empty_history, record_successes
+from cgm_jax.curricula.parts.history import init_history, record_successes
 from tests.cgm_jax.curricula.small import Chances, epochs, sizes
 from tests.cgm_jax.probe import tiny
 
 
 def after(successes: list[list[int]]) -> dict[str, np.ndarray]:
     """What is reported after evaluation episodes with these sub-goals achieved."""
-    history = empty_history(10, len(successes[0]))
+    history = init_history(10, len(successes[0]))
     history = record_successes(history, jnp.array(successes), jnp.ones(len(successes), bool))
     return {name: np.asarray(x) for name, x in Learnability().report(history).items()}
 

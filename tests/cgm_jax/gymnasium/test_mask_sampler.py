@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.curricula.parts.history import empty_history, record_successes, subgoal_rates
+from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
 from cgm_jax.curricula.parts.masks import goal_masks, mask_probabilities, mask_success_rates
 from cgm_jax.gymnasium.mask_sampler import MaskSampler, mask_generator
 
@@ -34,7 +34,7 @@ def test_probabilities_worked_by_hand() -> None:
 @pytest.mark.parametrize("n", [3, 9])
 def test_probabilities_are_those_in_jax(n: int) -> None:
     generator = np.random.default_rng(n)
-    masks, history = goal_masks(n), empty_history(10, n)
+    masks, history = goal_masks(n), init_history(10, n)
     samplers = {corner: MaskSampler(n, *corner) for corner in CORNERS}
     for count in (0, 4, 15):
         outcomes = generator.random((count, n)) < np.linspace(0.2, 1.0, n)
@@ -53,7 +53,7 @@ def test_probabilities_are_those_in_jax(n: int) -> None:
             assert sampler.probabilities.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("n", [1, 3, 12])
+@pytest.mark.parametrize("n", [1, 3, 10])
 def test_before_any_evaluation_the_full_goal_is_estimated_at_c_g(n: int) -> None:
     sampler = MaskSampler(n, c_g=0.3)
     np.testing.assert_allclose(sampler.subgoal_rates, 0.3 ** (1 / n))
@@ -104,11 +104,24 @@ def test_what_a_sampler_hands_out_is_not_its_own() -> None:
     assert sampler.probabilities.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("mask_levels", [False, True])
+def test_beyond_ten_dimensions_there_is_no_table_and_the_full_goal_is_estimated_at_c_g(
+    mask_levels: bool,
+) -> None:
+    sampler = MaskSampler(11, c_g=0.3, kappa=1000.0, mask_levels=mask_levels)
+    np.testing.assert_allclose(sampler.subgoal_rates.prod(), 0.3)
+    assert sampler.full_goal_probability > 3 * 2**-11
+    for name in ("masks", "success_rates", "probabilities"):
+        with pytest.raises(ValueError, match="goals of 11 dimensions have too many masks"):
+            getattr(sampler, name)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"goal_size": 0}, r"goal_size: 0 is not within \[1, 12\]"),
-        ({"goal_size": 13}, r"goal_size: 13 is not within \[1, 12\]"),
+        ({"goal_size": 0}, r"goal_size: 0 is not within \[1, 512\]"),
+        ({"goal_size": 513}, r"goal_size: 513 is not within \[1, 512\]"),
+        ({"mask_levels": 1}, "mask_levels: 1 is neither True nor False"),
         ({"c_g": 1.1}, r"c_g: 1.1 is not within \[0, 1\]"),
         ({"c_g": "0.1"}, "c_g: '0.1' is not a number"),
         ({"c_g": float("nan")}, "c_g: nan is not within"),

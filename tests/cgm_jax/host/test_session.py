@@ -4,6 +4,7 @@ The programs compile once for all tests; processes of their own are in test_resu
 """
 
 import asyncio
+import builtins
 import contextlib
 import csv
 import dataclasses
@@ -138,6 +139,15 @@ def test_the_same_command_resumes_and_a_finished_sweep_stays_as_it_is(
     assert_same_results(whole, out)
 
 
+class CellOutput(io.StringIO):
+    """Output as ipykernel replaces it: text without a file behind it, and no terminal."""
+
+    encoding = "UTF-8"  # pyright: ignore[reportAssignmentType]
+
+    def fileno(self) -> int:
+        raise io.UnsupportedOperation("fileno")
+
+
 def test_main_trains_in_a_thread_and_inside_a_running_event_loop(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,11 +156,21 @@ def test_main_trains_in_a_thread_and_inside_a_running_event_loop(
     thread.start()
     thread.join()
 
-    async def cell() -> int:  # as a notebook runs one, whose streams have no file
-        monkeypatch.setattr(sys, "stderr", io.StringIO())
-        return train(tmp_path / "notebook")
+    # As a notebook runs a cell: in its event loop, with an `get_ipython` among the builtins.
+    monkeypatch.setattr(builtins, "get_ipython", object, raising=False)
+    outputs = {name: CellOutput() for name in ("stdout", "stderr")}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    async def cell() -> int:
+        with monkeypatch.context() as notebook:
+            for name, output in outputs.items():
+                notebook.setattr(sys, name, output)
+            return train(tmp_path / "notebook")
 
     assert [*codes, asyncio.run(cell())] == [0, 0]
+    assert "Traceback" not in outputs["stderr"].getvalue()
+    assert "%" in outputs["stdout"].getvalue()  # the summary
+    assert {number: signal.getsignal(number) for number in handlers} == handlers
     assert_same_results(whole, tmp_path / "thread")
     assert_same_results(whole, tmp_path / "notebook")
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cgm_jax import evaluate, sweep
-from cgm_jax.config import named
+from cgm_jax.config import allowed, named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory
@@ -27,7 +27,7 @@ from tests.cgm_jax.own_environments import Base as F
 @pytest.fixture(autouse=True)
 def nothing_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    for names in ("_named_now", "_from_config"):
+    for names in ("_named_now", "_from_config", "_texts_named_now", "_texts_from_config"):
         monkeypatch.setattr(named, names, set())
 
 
@@ -68,6 +68,33 @@ def test_code_that_a_config_names_does_not_run(kind: str, reader: str, untrusted
         f"{kind}: {text.removesuffix(':F')} was never named by you on this machine, so it is not "
         f"run; if you trust it, name it: --{kind} {text}"
     )
+    assert not (untrusted / "figures" / "ran").exists()
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_module_for_gymnasium_that_a_config_names_is_not_imported(
+    reader: str, untrusted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(untrusted / "figures"))
+    change_runs(untrusted, env="gymnasium:x:X-v0")
+    with pytest.raises(SettingError) as refusal:
+        READERS[reader](untrusted)
+    assert str(refusal.value) == (
+        f"env: {untrusted / 'figures' / 'x.py'} was never named by you on this machine, so it is "
+        "not run; if you trust it, name it: --env gymnasium:x:X-v0"
+    )
+    assert not (untrusted / "figures" / "ran").exists()
+
+
+def test_another_interpreter_runs_nothing_that_only_a_config_names(
+    untrusted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(untrusted / "figures"))
+    monkeypatch.setenv("CGM_JAX_GYMNASIUM_PYTHON", sys.executable)
+    monkeypatch.setattr(allowed, "remembers", lambda path, data: True)
+    change_runs(untrusted, env="gymnasium:x:X-v0")
+    with pytest.raises(SettingError, match=r"^env: name it, since CGM_JAX_"):
+        sweep.main(["--resume", str(untrusted)])
     assert not (untrusted / "figures" / "ran").exists()
 
 

@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +156,8 @@ def test_a_policys_statistics_count_like_one_epoch_of_the_new_run() -> None:
         jnp.asarray(rows), goals, jnp.zeros((7, 10, 2)), goals[:, 0], goals[:, 0], jnp.ones(7)
     )
     valid = jnp.ones(7, bool)
-    after = observe(normaliser, episodes, valid, floor=0.0, distance_threshold=0.05)
+    update = jax.jit(functools.partial(observe, floor=0.0, distance_threshold=0.05))
+    after = update(normaliser, episodes, valid)
     seen = TINY.cycles_per_epoch * TINY.environments * PointMass().episode_length
     flat = rows.reshape(-1, 4)
     total = seen + len(flat)

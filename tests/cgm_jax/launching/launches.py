@@ -12,9 +12,9 @@ from typing import Any
 
 from cgm_jax.launching.cores import Cores
 from cgm_jax.launching.record import events, position
-from tests.cgm_jax.sweeps import POINT_MASS, ROOT, assert_same_results, command, finish, rows
+from tests.cgm_jax.sweeps import POINT_MASS, ROOT, assert_same_results, command, rows
 
-EPOCHS = 600
+EPOCHS = 400
 SWEEP = ["--preset", "smoke", "--env", POINT_MASS, "--epochs", str(EPOCHS), "--seeds", "2"]
 SWEEP += ["--side-by-side", "2", "--checkpoint-seconds", "1"]
 """Four runs, two at a time, so that two parts train what one sweep trains one after the other."""
@@ -30,7 +30,7 @@ def uninterrupted(out: Path) -> Path:
     """The same in one sweep that nothing disturbs, on one core as a part is."""
     cores = Cores(1)
     with cores.inherited():
-        finish(command(*SWEEP[2:], "--out", str(out)))
+        subprocess.run(command(*SWEEP[2:], "--out", str(out)), check=True, cwd=ROOT)
     cores.release()
     assert len(rows(out)) == 4 * EPOCHS
     return out

@@ -104,8 +104,8 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Launch]:
 def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
     folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copy(POINT_MASS.partition(":")[0], "mine.py")
-    words = [*SMOKE, "--env", "mine.py:PointMass", "--seeds", "3"]
+    shutil.copy(POINT_MASS.partition(":")[0], "launched_point.py")
+    words = [*SMOKE, "--env", "launched_point.py:PointMass", "--seeds", "3"]
     assert program.main(["--jobs", "99", "--cores", "1", "--out", "out", *words]) == 0
     (folder / "elsewhere").mkdir()
     monkeypatch.chdir("elsewhere")
@@ -113,7 +113,7 @@ def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
     first, again = planned
     assert first.parts == 6  # one for each run, of c_g 0.1, kappa 4 and 32, three seeds
     assert first == again == read_launch(folder / "out")
-    own = f"{folder}/mine.py:PointMass"
+    own = f"{folder}/launched_point.py:PointMass"
     assert again.sweep == ("--preset", "smoke", "--env", own, "--seeds", "3")
     command = again.command(2)
     assert command[:3] == [sys.executable, "-m", "cgm_jax.sweep"]
@@ -135,9 +135,10 @@ def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
 ) -> None:
     ran = folder / "ran"
     (folder / "x.py").write_text(
-        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\nfrom mine import PointMass\n"
+        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n"
+        "from launched_point import PointMass\n"
     )
-    shutil.copy(POINT_MASS.partition(":")[0], "mine.py")
+    shutil.copy(POINT_MASS.partition(":")[0], "launched_point.py")
     own = f"{folder}/x.py:PointMass"
     theirs = Launch(folder / "out", "local", 2, "smoke", ("--env", own), Resources())
     theirs.path.mkdir()

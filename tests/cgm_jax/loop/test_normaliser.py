@@ -11,8 +11,8 @@ from cgm_jax.replay.ring import Episodes
 THRESHOLD = 0.05
 
 
-def initial_normaliser(observation_size: int, goal_size: int) -> Normaliser:
-    return module.initial_normaliser(
+def init_normaliser(observation_size: int, goal_size: int) -> Normaliser:
+    return module.init_normaliser(
         observation_size, goal_size, limit=5.0, distance_threshold=THRESHOLD
     )
 
@@ -34,7 +34,7 @@ def episodes(generator: np.random.Generator, count: int) -> Episodes:
 
 def test_statistics_match_numpy_over_all_batches() -> None:
     generator = np.random.default_rng(0)
-    normaliser: Any = initial_normaliser(2, 1)
+    normaliser: Any = init_normaliser(2, 1)
     batches = []
     for count in (3, 8, 20):
         batches.append(episodes(generator, count))
@@ -66,17 +66,17 @@ def test_dropped_and_broken_episodes_leave_no_trace() -> None:
     kept = good.replace(
         **{name: getattr(good, name)[jnp.array([0, 3])] for name in good.__dataclass_fields__}
     )
-    expected: Any = observe(initial_normaliser(2, 1), kept, jnp.ones(2, bool))
-    actual: Any = observe(initial_normaliser(2, 1), poison, jnp.array([True, False, False, True]))
+    expected: Any = observe(init_normaliser(2, 1), kept, jnp.ones(2, bool))
+    actual: Any = observe(init_normaliser(2, 1), poison, jnp.array([True, False, False, True]))
     np.testing.assert_allclose(actual.observation.mean, expected.observation.mean, rtol=1e-6)
     np.testing.assert_allclose(actual.goal.std, expected.goal.std, rtol=1e-6)
 
 
 def test_a_batch_of_only_dropped_episodes_changes_nothing() -> None:
     generator = np.random.default_rng(2)
-    normaliser = observe(initial_normaliser(2, 1), episodes(generator, 3), jnp.ones(3, bool))
+    normaliser = observe(init_normaliser(2, 1), episodes(generator, 3), jnp.ones(3, bool))
     before: Any
-    for before in (initial_normaliser(2, 1), normaliser):
+    for before in (init_normaliser(2, 1), normaliser):
         after: Any = observe(before, episodes(generator, 3), jnp.zeros(3, bool))
         np.testing.assert_array_equal(after.observation.mean, before.observation.mean)
         np.testing.assert_array_equal(after.observation.std, before.observation.std)
@@ -86,7 +86,7 @@ def test_a_batch_of_only_dropped_episodes_changes_nothing() -> None:
 def test_a_constant_entry_is_divided_by_the_floor() -> None:
     batch = episodes(np.random.default_rng(3), 4)
     batch = batch.replace(observation=batch.observation.at[..., 0].set(7.0))
-    normaliser: Any = observe(initial_normaliser(2, 1), batch, jnp.ones(4, bool))
+    normaliser: Any = observe(init_normaliser(2, 1), batch, jnp.ones(4, bool))
     assert normaliser.observation.std[0] == np.float32(0.01)  # as before, to the last bit
     inputs = network_input(normaliser, jnp.array([7.02, 300.0]), jnp.zeros(1))
     np.testing.assert_allclose(inputs[:2], [2.0, 5.0], rtol=1e-3)
@@ -96,7 +96,7 @@ def test_the_floor_gives_way_where_observations_have_a_smaller_unit_than_goals()
     batch = episodes(np.random.default_rng(4), 40)
     small = 1e-5 * batch.observation.at[..., 1].divide(8.0)
     normaliser: Any = observe(
-        initial_normaliser(2, 1), batch.replace(observation=small), jnp.ones(40, bool)
+        init_normaliser(2, 1), batch.replace(observation=small), jnp.ones(40, bool)
     )
     first, second = np.asarray(small[..., 0]).std(), np.asarray(small[..., 1]).std()
     assert second < first < 0.01
@@ -106,7 +106,7 @@ def test_the_floor_gives_way_where_observations_have_a_smaller_unit_than_goals()
 @pytest.mark.parametrize("origin", [500.0, -3e5])
 def test_statistics_far_from_the_origin_are_those_of_float64(origin: float) -> None:
     generator = np.random.default_rng(5)
-    normaliser: Any = initial_normaliser(2, 1)
+    normaliser: Any = init_normaliser(2, 1)
     batches = []
     for _ in range(3):
         batch = episodes(generator, 8)

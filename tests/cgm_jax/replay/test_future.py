@@ -5,7 +5,7 @@ import pytest
 
 from cgm_jax.replay.future import MIN_MOTION, Future
 from cgm_jax.replay.protocol import Transitions
-from cgm_jax.replay.ring import Episodes, Replay, empty_replay, insert
+from cgm_jax.replay.ring import Episodes, Replay, init_replay, insert
 
 EPISODES, LENGTH, GOAL = 5, 10, 3
 THRESHOLD = 0.05
@@ -27,7 +27,7 @@ def make_replay() -> tuple[Replay, Episodes]:
         mask=jnp.asarray(generator.integers(0, 2, (EPISODES, GOAL)), jnp.float32),
         threshold=jnp.full(EPISODES, THRESHOLD),
     )
-    replay = empty_replay(EPISODES + 3, LENGTH, 2, GOAL, 2)
+    replay = init_replay(EPISODES + 3, LENGTH, 2, GOAL, 2)
     return insert(replay, episodes, jnp.ones(EPISODES, bool)), episodes
 
 
@@ -75,7 +75,7 @@ def test_with_her_goals_come_uniformly_from_later_steps_and_rewards_follow() -> 
     distinct = jnp.arange(EPISODES * (LENGTH + 1) * GOAL, dtype=jnp.float32)
     distinct = distinct.reshape(EPISODES, LENGTH + 1, GOAL)
     episodes = episodes.replace(achieved_goal=distinct)
-    replay = insert(empty_replay(EPISODES, LENGTH, 2, GOAL, 2), episodes, jnp.ones(EPISODES, bool))
+    replay = insert(init_replay(EPISODES, LENGTH, 2, GOAL, 2), episodes, jnp.ones(EPISODES, bool))
     transitions = HINDSIGHT.sample(jax.random.key(2), replay, COUNT, THRESHOLD)
     episode, step = np.asarray(transitions.observation).astype(int).T
     row = np.asarray(transitions.goal)[:, 0].astype(int) // GOAL
@@ -115,7 +115,7 @@ def test_hindsight_with_masks_keeps_the_episodes_own() -> None:
 def test_rewards_are_judged_at_the_episodes_own_threshold() -> None:
     replay, episodes = make_replay()
     wide = episodes.replace(threshold=jnp.where(jnp.arange(EPISODES) < 2, 1.0, THRESHOLD))
-    replay = insert(empty_replay(EPISODES, LENGTH, 2, GOAL, 2), wide, jnp.ones(EPISODES, bool))
+    replay = insert(init_replay(EPISODES, LENGTH, 2, GOAL, 2), wide, jnp.ones(EPISODES, bool))
     transitions = OWN.sample(jax.random.key(5), replay, COUNT, THRESHOLD)
     episode = np.asarray(transitions.observation)[:, 0]
     reward = np.asarray(transitions.reward)
@@ -127,7 +127,7 @@ def test_rewards_are_judged_at_the_episodes_own_threshold() -> None:
 def test_the_share_of_relabelled_transitions_is_k_of_k_plus_one(k: float) -> None:
     replay, episodes = make_replay()
     far = episodes.replace(desired_goal=jnp.full((EPISODES, GOAL), 9.0), mask=jnp.ones((5, 3)))
-    replay = insert(empty_replay(EPISODES, LENGTH, 2, GOAL, 2), far, jnp.ones(EPISODES, bool))
+    replay = insert(init_replay(EPISODES, LENGTH, 2, GOAL, 2), far, jnp.ones(EPISODES, bool))
     transitions = Future(her_k=k).sample(jax.random.key(3), replay, COUNT, THRESHOLD)
     share = np.mean(np.asarray(transitions.goal)[:, 0] != 9.0)
     assert share == pytest.approx(k / (k + 1), abs=0.011)  # over four standard errors
@@ -146,7 +146,7 @@ def draw_filtered(moved: list[bool], k: float) -> tuple[np.ndarray, np.ndarray]:
         desired_goal=jnp.full((EPISODES, GOAL), 9.0),
         mask=jnp.ones((EPISODES, GOAL)),
     )
-    replay = empty_replay(EPISODES + 3, LENGTH, 2, GOAL, 2)
+    replay = init_replay(EPISODES + 3, LENGTH, 2, GOAL, 2)
     replay = insert(replay, episodes, jnp.ones(EPISODES, bool))
     filtered = Future(her_k=k, her_filter=True)
     transitions = filtered.sample(jax.random.key(4), replay, COUNT, THRESHOLD)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cgm_jax.replay.ring import Episodes, Replay, empty_replay, insert, size
+from cgm_jax.replay.ring import Episodes, Replay, init_replay, insert, size
 
 LENGTH, OBSERVATION, GOAL, ACTION = 4, 2, 3, 1
 
@@ -31,7 +31,7 @@ def held(replay: Replay) -> list[int]:
 
 
 def test_the_ring_holds_the_newest_episodes_when_the_batch_does_not_divide_it() -> None:
-    replay = empty_replay(7, LENGTH, OBSERVATION, GOAL, ACTION)
+    replay = init_replay(7, LENGTH, OBSERVATION, GOAL, ACTION)
     for first in range(1, 13, 3):  # episodes 1 to 12, three at a time, into 7 slots
         replay = insert(replay, encoded(first, 3), jnp.ones(3, bool))
     assert held(replay) == [8, 9, 10, 11, 12, 6, 7]
@@ -44,7 +44,7 @@ def test_the_ring_holds_the_newest_episodes_when_the_batch_does_not_divide_it() 
 
 
 def test_dropped_episodes_leave_no_gap() -> None:
-    replay = empty_replay(4, LENGTH, OBSERVATION, GOAL, ACTION)
+    replay = init_replay(4, LENGTH, OBSERVATION, GOAL, ACTION)
     replay = insert(replay, encoded(1, 4), jnp.array([True, False, False, True]))
     assert held(replay) == [1, 4, 0, 0]
     assert int(size(replay)) == 2
@@ -53,7 +53,7 @@ def test_dropped_episodes_leave_no_gap() -> None:
 
 
 def test_runs_with_different_drops_fill_their_own_rings() -> None:
-    replay = jax.vmap(lambda _: empty_replay(3, LENGTH, OBSERVATION, GOAL, ACTION))(jnp.arange(2))
+    replay = jax.vmap(lambda _: init_replay(3, LENGTH, OBSERVATION, GOAL, ACTION))(jnp.arange(2))
     batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), encoded(1, 2))
     replay = jax.vmap(insert)(replay, batch, jnp.array([[True, True], [False, True]]))
     np.testing.assert_array_equal(replay.episodes.desired_goal[:, :, 0], [[1, 2, 0], [2, 0, 0]])
@@ -62,4 +62,4 @@ def test_runs_with_different_drops_fill_their_own_rings() -> None:
 
 def test_a_batch_larger_than_the_ring_is_refused() -> None:
     with pytest.raises(ValueError, match="3 episodes do not fit"):
-        insert(empty_replay(2, LENGTH, OBSERVATION, GOAL, ACTION), encoded(0, 3), jnp.ones(3, bool))
+        insert(init_replay(2, LENGTH, OBSERVATION, GOAL, ACTION), encoded(0, 3), jnp.ones(3, bool))

@@ -16,6 +16,7 @@ from cgm_jax.curricula.parts.levels import (
     report_levels,
     walk_back,
 )
+from tests.cgm_jax.mask_oracles import all_masks, descents_of, difficulty_first_probabilities
 
 draw = jax.jit(draw_masks_by_difficulty, static_argnames="count")
 count = jax.jit(count_masks)
@@ -29,28 +30,6 @@ RATES = {
     "always": np.ones(6, np.float32),
 }
 each_rates = pytest.mark.parametrize("rates", RATES.values(), ids=RATES)
-
-
-def all_masks(size: int) -> np.ndarray:
-    return np.array(list(itertools.product([0, 1], repeat=size)))
-
-
-def descents_of(masks: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Levels that masks descend, rounded by dimension; at most the last."""
-    with np.errstate(divide="ignore"):
-        each = np.minimum(np.round(-np.log(rates.astype(float)) / DELTA), LAST)
-    return np.minimum(masks @ each, LAST).astype(int)
-
-
-def oracle(masks: np.ndarray, rates: np.ndarray, c_g: float, kappa: float) -> np.ndarray:
-    """p(m) of difficulty first, by counting all masks."""
-    level = descents_of(masks, rates)
-    difficulty = np.where(level == LAST, 0, np.round(100 * np.exp(-DELTA * level)).astype(int))
-    number = np.bincount(difficulty, minlength=101)
-    closeness = np.where(number > 0, 1 - np.abs(np.arange(101) / 100 - c_g), 0.0)
-    weights = (closeness / (closeness.max() or 1.0)) ** kappa * (number > 0)
-    weights = weights if weights.any() else (number > 0).astype(float)
-    return (weights / weights.sum() / np.maximum(number, 1))[difficulty]
 
 
 @each_rates
@@ -70,7 +49,11 @@ def test_a_level_has_the_probability_of_its_masks(rates: np.ndarray, kappa: floa
     for c_g in (0.0, 0.1, 0.45, 1.0):
         probabilities = level_probability(count(rates)[-1], c_g, kappa)
         expected = np.zeros(LEVELS)
-        np.add.at(expected, descents_of(masks, rates), oracle(masks, rates, c_g, kappa))
+        np.add.at(
+            expected,
+            descents_of(masks, rates),
+            difficulty_first_probabilities(masks, rates, c_g, kappa),
+        )
         np.testing.assert_allclose(probabilities, expected, atol=1e-5)
 
 
@@ -92,7 +75,9 @@ def test_masks_are_drawn_with_their_probabilities(
     masks, estimates = draw(jax.random.key(1), rates, c_g, kappa, count=20_000)
     masks = np.asarray(masks, int)
     shares = np.bincount(masks @ 2 ** np.arange(len(rates))[::-1], minlength=2 ** len(rates))
-    wanted = oracle(all_masks(len(rates)), rates, float(np.float32(c_g)), kappa)
+    wanted = difficulty_first_probabilities(
+        all_masks(len(rates)), rates, float(np.float32(c_g)), kappa
+    )
     errors = np.sqrt(wanted / 20_000)
     assert (np.abs(shares / 20_000 - wanted) <= 4.5 * errors + 1e-5).all()
     products = np.prod(np.where(masks > 0, rates.astype(float), 1.0), axis=1)

@@ -1,6 +1,4 @@
 import functools
-import itertools
-import math
 
 import jax
 import jax.numpy as jnp
@@ -8,37 +6,17 @@ import numpy as np
 import pytest
 
 from cgm_jax.curricula.parts.lookahead import CANDIDATES, draw_masks, propose
-
-CORNERS = np.array(list(itertools.product([0, 0.1, 0.4, 0.8, 1], [0, 1, 4, 32, 1000])), np.float32)
-"""Pairs of c_g and kappa, [25, 2]."""
+from tests.cgm_jax.mask_oracles import (
+    CORNERS,
+    after_all_candidates,
+    all_masks,
+    exact_success_rates,
+    kinds_of_rates,
+    paper_probabilities,
+    total_variation,
+)
 
 draw = jax.jit(draw_masks, static_argnames="count")
-
-
-def all_masks(size: int) -> np.ndarray:
-    return np.array(list(itertools.product([0, 1], repeat=size)))
-
-
-def oracle(masks: np.ndarray, rates: np.ndarray, c_g: float, kappa: float) -> np.ndarray:
-    """The paper's p(m), in float64 and by the definition; uniform where all weights are 0."""
-    success_rates = np.prod(np.where(masks > 0, rates.astype(np.float64), 1.0), axis=1)
-    closeness = 1.0 - np.abs(success_rates - c_g)
-    weights = (closeness / (closeness.max() or 1.0)) ** kappa
-    return weights / weights.sum() if weights.any() else np.full(len(masks), 1 / len(masks))
-
-
-def after_all_candidates(proposed: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Distribution of the last of all candidates, by the transition matrix between masks."""
-    excess = wanted / np.maximum(proposed, 1e-300)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ratio = excess[None, :] / excess[:, None]
-    accept = np.where(excess[:, None] > 0, np.minimum(1.0, ratio), 1.0)
-    moves = accept * proposed[None, :]
-    stays = 1.0 - moves.sum(axis=1)
-    distribution = proposed
-    for _ in range(CANDIDATES - 1):
-        distribution = distribution @ moves + distribution * stays
-    return distribution
 
 
 @jax.jit
@@ -52,25 +30,6 @@ def proposed(rates: np.ndarray, corners: np.ndarray = CORNERS) -> np.ndarray:
     return np.exp(np.asarray(log_probabilities(rates, corners, all_masks(len(rates))), np.float64))
 
 
-def total_variation(one: np.ndarray, other: np.ndarray) -> float:
-    return 0.5 * float(np.abs(one - other).sum())
-
-
-def kinds_of_rates(size: int, generator: np.random.Generator) -> list[np.ndarray]:
-    rates = [
-        generator.random(size),
-        generator.integers(0, 11, size) / 10,  # as after ten evaluation episodes; with ties
-        generator.integers(0, 51, size) / 50,
-        1 - 10 ** generator.uniform(-4, 0, size),
-        10 ** generator.uniform(-4, 0, size),
-        generator.choice([0.0, 0.5, 1.0], size),
-        np.zeros(size),
-        np.ones(size),
-        np.full(size, 0.9),
-    ]
-    return [row.astype(np.float32) for row in rates]
-
-
 @pytest.mark.parametrize("size", [1, 4, 10])
 def test_masks_have_the_papers_probabilities(size: int) -> None:
     masks = all_masks(size)
@@ -78,10 +37,10 @@ def test_masks_have_the_papers_probabilities(size: int) -> None:
         rows = proposed(rates)
         np.testing.assert_allclose(rows.sum(axis=1), 1.0, atol=1e-5)
         for row, (c_g, kappa) in zip(rows, CORNERS.astype(float), strict=True):
-            wanted = oracle(masks, rates, c_g, kappa)
+            wanted = paper_probabilities(masks, rates, c_g, kappa)
             distance = total_variation(row, wanted)
             if distance > 0.005:  # further candidates never increase it
-                distance = total_variation(after_all_candidates(row, wanted), wanted)
+                distance = total_variation(after_all_candidates(row, wanted, CANDIDATES), wanted)
             assert distance <= 0.005, (rates, c_g, kappa)
 
 
@@ -89,28 +48,17 @@ def test_where_peaks_are_sharp_candidates_are_what_makes_probabilities_right() -
     # Two masks keep a single 0.8, which is c_g itself, and the peak lies between two levels.
     rates = np.array([0.7, 0.8, 0.3, 0.6, 0.8], np.float32)
     corner = np.array([[0.8, 1000.0]], np.float32)
-    [row], wanted = proposed(rates, corner), oracle(all_masks(5), rates, *corner[0].astype(float))
+    [row], wanted = (
+        proposed(rates, corner),
+        paper_probabilities(all_masks(5), rates, *corner[0].astype(float)),
+    )
     assert total_variation(row, wanted) > 0.1
-    assert total_variation(after_all_candidates(row, wanted), wanted) < 0.005
+    assert total_variation(after_all_candidates(row, wanted, CANDIDATES), wanted) < 0.005
 
     drawn, _ = draw(jax.random.key(0), rates, *corner[0], count=20_000)
     indices = np.asarray(drawn, int) @ (2 ** np.arange(5)[::-1])
     shares = np.bincount(indices, minlength=32) / 20_000
     np.testing.assert_allclose(shares, wanted, atol=0.014)  # four standard errors
-
-
-def exact_success_rates(
-    values: list[float], copies: int, c_g: float, kappa: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Every c_m and its probability where each of the rates is that of several dimensions.
-
-    Masks that keep equally many dimensions of each rate are alike, so that counting them is enough.
-    """
-    kept = np.array(list(itertools.product(range(copies + 1), repeat=len(values))))
-    number = np.array([math.comb(copies, k) for k in range(copies + 1)], float)[kept].prod(axis=1)
-    success_rates = np.prod(np.array(values, np.float32).astype(float) ** kept, axis=1)
-    weights = number * (1.0 - np.abs(success_rates - c_g)) ** kappa
-    return success_rates, weights / weights.sum()
 
 
 @pytest.mark.parametrize(("c_g", "kappa"), [(0.1, 32.0), (0.8, 32.0), (0.4, 1000.0)])

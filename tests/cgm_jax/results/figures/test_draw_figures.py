@@ -22,17 +22,26 @@ def write(directory: RunDirectory, rows: list[object]) -> None:
     (directory.path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
-def test_figures_that_would_be_empty_are_said_and_the_others_drawn(
+def test_figures_that_make_no_sense_are_left_out_without_a_word(
     directory: RunDirectory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(directory, run([0.1, 0.2], curriculum="full"))
     (directory.path / "figures" / "mask_success.png").write_bytes(b"of an older version")
     assert [path.name for path in draw_figures(directory)] == ["learning_curves.png"]
     assert [path.name for path in (directory.path / "figures").iterdir()] == ["learning_curves.png"]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_figure_that_would_be_missed_is_a_line(
+    directory: RunDirectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    levels = {"level": [0.0, 0.5, 1.0], "level_probability": [0.2, 0.3, 0.5]}
+    write(directory, run([0.1, 0.2], reported=[*levels], **levels))
+    drawn = [path.name for path in draw_figures(directory)]
+    assert drawn == ["learning_curves.png", "curriculum.png"]
     assert capsys.readouterr().err.splitlines() == [
-        "epochs_to_half.png is not drawn: its runs differ in the seed and the environment at most",
-        "mask_success.png is not drawn: no run drew masks, or they are too many to count each",
-        "curriculum.png is not drawn: its curricula report nothing",
+        "mask_success.png is not drawn: masks are too many to count each; curriculum.png shows "
+        "them by success"
     ]
 
 

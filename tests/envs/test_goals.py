@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.curricula.goals import apply_mask, is_achieved, masked_distance
+from cgm_jax.envs.goals import apply_mask, is_achieved, masked_distance
 
 
 def test_masked_goals_keep_the_goal_where_the_mask_does() -> None:

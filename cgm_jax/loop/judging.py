@@ -1,0 +1,95 @@
+"""What counts as success and what is rewarded: by distance, or by an environment's own rules.
+
+An environment's rules are about an achieved and a desired goal. Under a mask they get the goal that
+the networks see: in masked dimensions the desired goal is what is achieved (equation 1 of Eppe,
+Magg and Wermter 2019), so that these count as achieved to any rule that compares dimension by
+dimension. A sub-goal is the mask that keeps one dimension.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.envs import GoalEnvironment
+from cgm_jax.envs.goals import apply_mask, is_achieved
+from cgm_jax.replay.protocol import Transitions
+
+Rule = Callable[[jax.Array, jax.Array], jax.Array]
+"""From an achieved and a desired goal, each [n], to a scalar."""
+
+SPARSE = (-1.0, 0.0)
+
+
+def has_own_rules(env: GoalEnvironment) -> bool:
+    """Whether success is not a matter of distance below a threshold."""
+    return hasattr(env, "goal_success")
+
+
+def succeeds(
+    env: GoalEnvironment,
+    goal: jax.Array,
+    mask: jax.Array,
+    achieved_goal: jax.Array,
+    threshold: jax.Array,
+) -> jax.Array:
+    """Whether masked goals are achieved [...].
+
+    Args:
+        env: the environment.
+        goal: [..., n], before masking.
+        mask: [..., n].
+        achieved_goal: [..., n].
+        threshold: [...], not read where the environment has a rule of its own.
+    """
+    if not has_own_rules(env):
+        return is_achieved(goal, mask, achieved_goal, threshold)
+    masked = apply_mask(goal, mask, achieved_goal)
+    return _mapped(env.goal_success, achieved_goal, masked)  # pyright: ignore
+
+
+def subgoals_succeed(
+    env: GoalEnvironment, goal: jax.Array, achieved_goal: jax.Array, distance_threshold: float
+) -> jax.Array:
+    """Whether each dimension of whole goals [..., n] is achieved, [..., n]."""
+    if not has_own_rules(env):
+        return jnp.abs(achieved_goal - goal) < distance_threshold
+    single = jnp.eye(goal.shape[-1])
+    masked = apply_mask(goal[..., None, :], single, achieved_goal[..., None, :])
+    achieved = jnp.broadcast_to(achieved_goal[..., None, :], masked.shape)
+    return _mapped(env.goal_success, achieved, masked)  # pyright: ignore
+
+
+def rewards(env: GoalEnvironment, drawn: Transitions) -> jax.Array:
+    """Rewards [...] of transitions: the environment's own, or 0 for success and -1 otherwise.
+
+    Raises:
+        SettingError: the relabelling does not say what was achieved.
+    """
+    own_reward = getattr(env, "goal_reward", None)
+    if own_reward is None and not has_own_rules(env):
+        return drawn.reward
+    if drawn.next_achieved is None:
+        raise SettingError("relabelling: must fill next_achieved, since env has its own rules")
+    if own_reward is not None:
+        return _mapped(own_reward, drawn.next_achieved, drawn.next_goal)
+    success = _mapped(env.goal_success, drawn.next_achieved, drawn.next_goal)  # pyright: ignore
+    return jnp.where(success, 0.0, -1.0)
+
+
+def reward_range(env: GoalEnvironment) -> tuple[float, float]:
+    """Least and greatest reward."""
+    return getattr(env, "reward_range", SPARSE) if hasattr(env, "goal_reward") else SPARSE
+
+
+def may_end(env: GoalEnvironment) -> bool:
+    """Whether the environment ends episodes before their last step."""
+    return hasattr(env, "is_terminal")
+
+
+def _mapped(rule: Rule, achieved_goal: jax.Array, goal: jax.Array) -> jax.Array:
+    """A rule for one pair of goals [n], for pairs [..., n]."""
+    for _ in range(goal.ndim - 1):
+        rule = jax.vmap(rule)
+    return rule(achieved_goal, goal)

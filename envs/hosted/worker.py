@@ -1,0 +1,107 @@
+"""The process in which a Gymnasium environment lives. Speaks on its standard input and output.
+
+Messages: a line of JSON with `op`, further values, and `arrays`, the type and shape of each array
+whose bytes follow. Needs numpy and gymnasium; of cgm_jax only where the task's module is checked
+against what its user has named (config/named.py).
+"""
+
+# Run as a script, by an interpreter that may not have cgm_jax, so that rows.py is imported so.
+# pyright: reportMissingImports=false
+
+import importlib
+import json
+import os
+import sys
+import traceback
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+
+def send(stream: BinaryIO, op: str, arrays: list[np.ndarray], **values: Any) -> None:
+    """Write one message."""
+    described = [[array.dtype.str, array.shape] for array in arrays]
+    stream.write(json.dumps({"op": op, **values, "arrays": described}).encode() + b"\n")
+    for array in arrays:
+        stream.write(np.ascontiguousarray(array).tobytes())
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """Read one message.
+
+    Raises:
+        EOFError: the other side has ended.
+    """
+    line = stream.readline()
+    if not line.endswith(b"\n"):
+        raise EOFError
+    message, arrays = json.loads(line), []
+    for kind, shape in message["arrays"]:
+        count = int(np.prod(shape, dtype=np.int64)) * np.dtype(kind).itemsize
+        data = stream.read(count)
+        if len(data) < count:
+            raise EOFError
+        arrays.append(np.frombuffer(data, kind).reshape(shape))
+    return message, arrays
+
+
+def main() -> None:
+    """Serve until the other side ends."""
+    requests, replies = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the environment prints is no reply
+    sys.path.pop(0)  # this folder, whose files are nobody's modules
+    rows = None
+    while True:
+        try:
+            message, arrays = receive(requests)
+        except EOFError:
+            return
+        try:
+            if message["op"] == "begin":
+                rows = begin(message)
+                send(replies, "facts", [], **rows.facts)
+            elif rows is not None:
+                send(replies, "done", serve(rows, message["op"], arrays))
+        except Exception as error:
+            known = type(error).__name__ in ("TaskError", "SettingError")
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            where = f" ({place.filename}, line {place.lineno})"
+            line = str(error).partition("\n")[0]
+            text = line if known else f"{type(error).__name__}: {line}{where}"
+            send(replies, "failed", [], text=text)
+
+
+def begin(message: dict[str, Any]) -> Any:
+    """Import the task's module, if it has one, and look at its environment."""
+    from_here = message["path"] is not None
+    sys.path[:0] = [one for one in message["path"] or [""] if one not in sys.path]
+    if message["module"] and from_here:
+        from cgm_jax.config.named import import_gymnasium_module
+
+        import_gymnasium_module(message["name"], message["trust"])
+    elif message["module"]:
+        importlib.import_module(message["module"])
+    return Rows(message["id"])
+
+
+def serve(rows: Any, op: str, arrays: list[np.ndarray]) -> list[np.ndarray]:
+    """The answer to a request."""
+    if op == "success":
+        return [rows.success(*arrays)]
+    ticket, batch = rows.reset(*arrays) if op == "reset" else rows.step(*arrays)
+    return [
+        *batch.observation.values(),
+        batch.terminated,
+        batch.truncated,
+        np.full(len(batch.seeds), ticket, np.uint32),
+    ]
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parent))
+    from rows import Rows
+
+    sys.path.pop(0)
+    main()

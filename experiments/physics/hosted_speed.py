@@ -1,0 +1,141 @@
+"""How fast Gymnasium tasks are: `python -m experiments.physics.hosted_speed gymnasium:ID ...`.
+
+Times whole rollouts of ROWS episodes with random actions through the loop, where the environment
+lives in a process of its own, and of Gymnasium's vector environment by itself, in turns; and the
+task `reach` of this package on the same machine. All figures are ratios of steps per second within
+a round: the median, least and greatest over rounds. Writes OUT/hosted_speed.csv.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.config.named import gymnasium_name, is_gymnasium, name_now
+from cgm_jax.config.settings import Settings
+from cgm_jax.host.command_line import parse, run_program
+from experiments.table import write_table
+
+OUT = Path(__file__).resolve().parents[1] / "results" / "hosted_speed"
+
+
+@dataclass(kw_only=True)
+class HostedSpeedOptions:
+    """Compare Gymnasium tasks with their vector environments and with ours."""
+
+    tasks: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Such as gymnasium:cgm_jax:cgm_jax/FetchReach-v0."""
+
+    rows: int = 16
+    """Episodes side by side."""
+
+    rounds: int = 5
+    """Rollouts of each kind."""
+
+    out: Path = OUT
+    """Directory for the table."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program on command-line arguments; return its exit code."""
+    options = parse(HostedSpeedOptions, arguments, "python -m experiments.physics.hosted_speed")
+    if not all(is_gymnasium(task) for task in options.tasks):
+        raise SettingError("tasks: name environments as gymnasium:ID or gymnasium:MODULE:ID")
+    ours = through_the_loop("reach", options.rows)
+    table = []
+    for task in options.tasks:
+        name_now(task)
+        hosted = through_the_loop(task, options.rows)
+        alone = by_itself(task, options.rows)
+        rates = [
+            tuple(steps_per_second(one) for one in (hosted, alone, ours))
+            for _ in range(options.rounds)
+        ]
+        table.append(
+            {
+                "task": task.rpartition(":")[2],
+                "rows": options.rows,
+                "rounds": options.rounds,
+                "of_its_vector_environment": _ratio(rates, 1),
+                "of_reach_here": _ratio(rates, 2),
+            }
+        )
+        print(table[-1], flush=True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_table(options.out / "hosted_speed.csv", table)
+    return 0
+
+
+def _ratio(rates: Sequence[tuple[float, ...]], other: int) -> str:
+    ratios = [each[0] / each[other] for each in rates]
+    return f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+
+
+def steps_per_second(rollout: Callable[[], int]) -> float:
+    """The rate of one rollout, which says how many steps it took."""
+    begun = time.perf_counter()
+    return rollout() / (time.perf_counter() - begun)
+
+
+def through_the_loop(env_name: str, rows: int) -> Callable[[], int]:
+    """Rollouts as in training, compiled."""
+    import jax
+
+    from cgm_jax.loop.environment import make_environment
+    from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
+
+    env = make_environment(Settings(env=env_name))
+
+    def policy(observation: jax.Array, goal: jax.Array, noise: Any) -> jax.Array:
+        del goal
+        return noise
+
+    @jax.jit
+    def run(key: jax.Array) -> jax.Array:
+        first_key, noise_key = jax.random.split(key)
+        first = reset(env, first_key, rows)
+        shape = (env.episode_length, rows, env.action_size)
+        noise: Any = jax.random.uniform(noise_key, shape, minval=-1.0, maxval=1.0)
+        return roll_out(env, policy, first, drawn_goals(env, first), noise).episodes.observation
+
+    def rollout() -> int:
+        jax.block_until_ready(run(jax.random.key(0)))
+        return rows * env.episode_length
+
+    rollout()  # compiles
+    return rollout
+
+
+def by_itself(name: str, rows: int) -> Callable[[], int]:
+    """Rollouts of Gymnasium's vector environment, in this process."""
+    import importlib
+
+    import gymnasium
+
+    module, env_id = gymnasium_name(name)
+    if module is not None:
+        importlib.import_module(module)
+    env = gymnasium.make_vec(env_id, num_envs=rows)
+    spec = gymnasium.spec(env_id)
+    assert spec.max_episode_steps is not None
+    length = spec.max_episode_steps
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(length)]
+
+    def rollout() -> int:
+        env.reset(seed=0)
+        for action in actions:
+            env.step(action)
+        return rows * length
+
+    rollout()
+    return rollout
+
+
+if __name__ == "__main__":
+    run_program(main)

@@ -1,0 +1,206 @@
+"""An environment's own rules: tolerance, success, reward, and where an episode ends."""
+
+# pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportOptionalMemberAccess=false
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.base import State
+
+from cgm_jax.agents.ddpg import DDPG
+from cgm_jax.config.fields import SettingError
+from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
+from cgm_jax.loop.learning import minibatches
+from cgm_jax.loop.own_environment import checked
+from cgm_jax.loop.rollout import Rollout, drawn_goals, reset, roll_out
+from cgm_jax.loop.setup import initial_state, make_setup
+from cgm_jax.loop.training import make_trainer
+from cgm_jax.replay.ring import insert
+from tests.cgm_jax.agents.oracle import SIZES, action_value, example_batch, in_numpy
+from tests.cgm_jax.own_environments import Base
+from tests.cgm_jax.probe import TINY, tiny
+
+END = 0.4
+TOLERANCE = np.array([0.1, 0.4])
+
+
+class Ruled(Base):
+    """A point that may be off farther in y than in x; its episode ends where x exceeds `END`."""
+
+    episode_length = 12
+    goal_tolerance = TOLERANCE
+    reward_range = (-3.0, 1.0)
+
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return 1.0 - jnp.minimum(jnp.abs(achieved_goal - desired_goal).sum(), 4.0)
+
+    def is_terminal(self, state: State) -> jax.Array:
+        return state.obs["achieved_goal"][0] > END
+
+
+class Square(Base):
+    """Success within a square, as a rule of its own."""
+
+    def goal_success(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return jnp.abs(achieved_goal - desired_goal).max() < 0.3
+
+
+@pytest.fixture(scope="module")
+def env() -> Any:
+    return checked(Ruled(), "Ruled")
+
+
+def test_distance_is_measured_in_tolerances_and_masked_dimensions_count_as_achieved(
+    env: Any,
+) -> None:
+    goal = jnp.zeros((4, 2))
+    achieved = jnp.array([[0.09, 0.1], [0.09, 0.3], [0.0, 0.39], [0.2, 0.2]])
+    full, only_y = jnp.ones((4, 2)), jnp.tile(jnp.array([0.0, 1.0]), (4, 1))
+    # (0.9, 0.25), (0.9, 0.75), (0, 0.975), (2, 0.5) tolerances off.
+    expected = [True, False, True, False]
+    assert succeeds(env, goal, full, achieved, jnp.ones(4)).tolist() == expected
+    assert succeeds(env, goal, only_y, achieved, jnp.ones(4)).tolist() == [True] * 4
+    subgoals = [[True, True], [True, True], [True, True], [False, True]]
+    assert subgoals_succeed(env, goal, achieved, 0.1).tolist() == subgoals
+
+
+def test_a_rule_of_success_is_asked_about_masked_goals() -> None:
+    square: Any = checked(Square(), "Square")
+    goal = jnp.zeros((2, 2))
+    achieved = jnp.array([[0.29, -0.29], [0.1, 0.31]])  # farther than the threshold, all of them
+    full, only_x = jnp.ones((2, 2)), jnp.tile(jnp.array([1.0, 0.0]), (2, 1))
+    assert succeeds(square, goal, full, achieved, jnp.ones(2)).tolist() == [True, False]
+    assert succeeds(square, goal, only_x, achieved, jnp.ones(2)).tolist() == [True, True]
+    assert subgoals_succeed(square, goal, achieved, 0.1).tolist() == [[True, True], [True, False]]
+
+
+def right(observation: jax.Array, goal: jax.Array, noise: Any) -> jax.Array:
+    del goal, noise
+    return jnp.broadcast_to(jnp.array([1.0, 0.0]), observation.shape)
+
+
+@pytest.fixture(scope="module")
+def played(env: Any) -> Rollout:
+    """Episodes in which the point goes to the right."""
+    first = reset(env, jax.random.key(0), 32)
+    return jax.jit(lambda state: roll_out(env, right, state, drawn_goals(env, state)))(first)
+
+
+def test_an_episode_that_ends_stays_where_it_ended(played: Rollout) -> None:
+    achieved, length = (
+        np.asarray(part) for part in (played.episodes.achieved_goal, played.episodes.length)
+    )
+    steps = np.ceil((END - achieved[:, 0, 0]) / 0.1).clip(0)  # a tenth to the right at each
+    off_boundary = np.abs((END - achieved[:, 0, 0]) / 0.1 % 1 - 0.5) < 0.49  # rounding decides
+    np.testing.assert_array_equal(
+        length[off_boundary], np.where(steps > 12, 13, steps)[off_boundary]
+    )
+    np.testing.assert_array_equal(played.outcomes.valid, length > 0)
+    assert (length == 13).any()
+    assert (length == 0).any()
+    for episode, end in zip(achieved, np.minimum(length, 12), strict=True):
+        np.testing.assert_allclose(np.diff(episode[: end + 1, 0]), 0.1, atol=1e-6)
+        np.testing.assert_array_equal(episode[end:], np.broadcast_to(episode[end], (13 - end, 2)))
+
+
+def test_agents_learn_from_the_environments_rewards_and_not_beyond_its_ends(
+    env: Any, played: Rollout
+) -> None:
+    setup, hyper = make_setup(env, TINY), tiny(her_k=2.0)
+    state = initial_state(setup, hyper)
+    outcomes = played.outcomes
+    state = state.replace(replay=insert(state.replay, played.episodes, outcomes.valid))
+    key = jax.random.key(7)
+    batch = minibatches(setup, state, hyper, key)
+    count = TINY.updates_per_cycle * TINY.batch_size
+    drawn = hyper.relabelling.sample(key, state.replay, count, setup.env.distance_threshold)
+    achieved, goal, mask = (
+        np.asarray(part) for part in (drawn.next_achieved, drawn.next_goal, drawn.mask)
+    )
+    np.testing.assert_array_equal(goal[mask == 0], achieved[mask == 0])
+    expected = 1.0 - np.minimum(np.abs(achieved - goal).sum(axis=-1), 4.0)
+    np.testing.assert_allclose(batch.reward.reshape(-1), expected, atol=1e-6)
+    assert len(set(expected.round(3))) > 20
+    assert batch.reward_range == (-3.0, 1.0)
+    # Terminal are the transitions beyond the end, and from there none is drawn.
+    np.testing.assert_array_equal(
+        batch.continues.reshape(-1), np.where(achieved[:, 0] > END, 0.0, 1.0)
+    )
+    assert (np.asarray(drawn.observation)[:, 0] <= END).all()
+    assert 0 < (batch.continues == 0).sum() < count
+
+
+def test_rewards_follow_the_rule_of_success_in_hindsight_too() -> None:
+    square: Any = checked(Square(), "Square")
+    trainer = make_trainer(square, TINY)
+    state = trainer.init(tiny())
+    drawn = tiny().relabelling.sample(jax.random.key(0), state.replay, 6, 0.1)
+    far = jnp.array([[0.29, 0.29], [0.31, 0.0], [0.0, 0.0]] * 2)
+    drawn = drawn.replace(next_achieved=far, next_goal=jnp.zeros((6, 2)))
+    assert rewards(square, drawn).tolist() == [0.0, -1.0, 0.0] * 2
+    with pytest.raises(SettingError, match="relabelling: must fill next_achieved"):
+        rewards(square, drawn.replace(next_achieved=None))
+
+
+def test_targets_do_not_look_beyond_an_end_and_are_clipped_to_the_rewards_own_returns() -> None:
+    agent = DDPG(hidden_layers=(8, 8), discount=0.9)
+    state, batch = agent.init(jax.random.key(0), SIZES), example_batch()
+    reward = jnp.linspace(-3.0, 1.0, 16)
+    continues = jnp.arange(16) % 2.0
+    numbers = in_numpy(state)
+    value = action_value(numbers.critic[0], np.asarray(batch.inputs), np.asarray(batch.action))
+    shifted = state.replace(
+        target_critic=jax.tree.map(lambda leaf: leaf + 3.0, state.target_critic)
+    )
+    batch = batch.replace(reward=reward, continues=continues, reward_range=(-3.0, 1.0))
+    loss, _ = agent.critic_loss(state.critic, shifted, batch)
+    # Huge values of the next state: 1 / (1 - 0.9) is the most that a return can be.
+    target = np.where(continues > 0, 10.0, reward)
+    assert float(loss) == pytest.approx(np.mean((target - value) ** 2), rel=1e-5)
+
+
+def test_curricula_that_vary_the_threshold_are_refused(env: Any) -> None:
+    setup = make_setup(env, TINY)
+    with pytest.raises(SettingError, match=r"^curriculum: accuracy varies the"):
+        initial_state(setup, tiny(curriculum="accuracy"))
+
+
+class NoRange(Ruled):
+    reward_range = None
+
+
+class Both(Ruled):
+    def goal_success(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return jnp.all(achieved_goal == desired_goal)
+
+
+class ThreeTolerances(Ruled):
+    goal_tolerance = np.ones(3)
+
+
+class NoTolerance(Ruled):
+    goal_tolerance = np.array([0.1, 0.0])
+
+
+class VectorReward(Ruled):
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return achieved_goal - desired_goal
+
+
+REFUSED = {
+    NoRange: "has goal_reward, so it needs reward_range",
+    Both: "has both goal_tolerance and goal_success",
+    ThreeTolerances: r"goal_tolerance of it has shape \(3,\), goals have \(2,\)",
+    NoTolerance: "goal_tolerance of it is .*, not one number per dimension",
+    VectorReward: r"goal_reward of it returns shape \(2,\), not a scalar",
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_rules_that_cannot_be_are_refused(kind: type) -> None:
+    with pytest.raises(SettingError, match=f"^env: .*{REFUSED[kind]}") as refusal:
+        checked(kind(), "it")
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,54 @@
+"""What the suites over everything discovered have in common."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cgm_jax.config.components import builtin
+from cgm_jax.config.fields import Field, SettingError, declared
+from cgm_jax.config.grid import hyperparameters
+
+
+def other_value(item: "Field[Any]") -> Any:
+    """A value of a traced setting that is not its default."""
+    default: Any = item.default
+    if isinstance(default, bool):
+        return not default
+    if isinstance(default, int):
+        return default + 1
+    low = max(item.metadata["low"], default - 1.0)
+    return low + 0.3 * (min(item.metadata["high"], low + 2.0 * abs(default) + 1.0) - low)
+
+
+def other_values(kind: str, name: str) -> dict[str, Any]:
+    """For every traced setting of a component a value that is not its default."""
+    return {
+        item.name: other_value(item)
+        for item in declared(builtin(kind)[name])
+        if item.metadata["traced"]
+    }
+
+
+def assert_same(one: Any, other: Any) -> None:
+    """Two pytrees of arrays have the same structure and the same bits."""
+
+    def words(leaf: jax.Array) -> np.ndarray:
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    jax.tree.map(lambda x, y: np.testing.assert_array_equal(words(x), words(y)), one, other)
+
+
+def assert_wrong_settings_are_refused_by_name(kind: str, name: str) -> None:
+    """Values of another type or out of range, for each setting of a component."""
+    for item in declared(builtin(kind)[name]):
+        low, high = item.metadata["low"], item.metadata["high"]
+        outside = [bound for bound in (low - 1, 2 * high + 1) if np.isfinite(bound)]
+        wrong = ["much", *(outside if not isinstance(item.default, bool) else [0.5])]
+        for bad in wrong:
+            with pytest.raises(SettingError, match=f"^{item.name}: "):
+                hyperparameters(**{kind: name, item.name: bad})
