@@ -104,8 +104,8 @@ class TrainingOptions(SettingOptions):
     """Least time between checkpoints; has no effect on results."""
 
     devices: str = ALL
-    """Devices that share the runs: a number or all. A CPU has one for each core that it was given.
-    Network updates differ in the last bits between one device and several."""
+    """Devices that share the runs: a number, or all. Of a CPU that is one for each core given, at
+    most 8; bits do not depend on it, unless you ask for more."""
 
     track: Annotated[
         str | None,

@@ -50,15 +50,13 @@ class MemoryEstimate:
     """Bytes that a group of runs takes on each device; on a CPU, the whole process.
 
     Attributes:
-        device_only: whether devices have memory of their own; on a CPU they share the process's.
         fixed: whatever the number of runs.
         state: per run, the training state.
-        rollout, evaluation, minibatches: per run, further phases of the programs, of which only
-            one holds memory at a time.
-        update: per run, the phase of network updates.
-        single_update: what the phase of network updates takes once, where runs are updated one
-            after another.
+        rollout, evaluation, minibatches, update: per run, further phases of the programs, of which
+            only one holds memory at a time.
         parts: per run, the setting that decides each part of it, with its bytes.
+        on_cpu: devices share the memory, and train their runs one after another, each in a copy of
+            its state. If it is one, the idle device beside it holds as many states.
     """
 
     fixed: int
@@ -67,21 +65,16 @@ class MemoryEstimate:
     evaluation: int
     minibatches: int
     update: int
-    single_update: int
     parts: dict[str, int]
-    device_only: bool = False
+    on_cpu: bool = False
 
     def total(self, runs: int, devices: int = 1) -> int:
         """Bytes for so many runs at once: on the fullest device, or on all where they share it."""
         sharing, runs = share(runs, devices)
-        phases = (
-            runs * self.rollout,
-            runs * self.evaluation,
-            runs * self.minibatches,
-            runs * self.update + self.single_update,
-        )
-        each = runs * self.state + max(phases)
-        return self.fixed + (each if self.device_only else sharing * each)
+        phase = max(self.rollout, self.evaluation, self.minibatches, self.update)
+        if not self.on_cpu:
+            return self.fixed + runs * (self.state + phase)
+        return self.fixed + max(2, sharing) * runs * self.state + sharing * (self.state + phase)
 
 
 def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
@@ -106,15 +99,14 @@ def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
     evaluation = episodes * (EVALUATION_COPIES * episode + step)
     agent, batches = tree_bytes(state.agent), tree_bytes(drawn)
     layers = int(LAYER_COPIES * 4 * settings.batch_size * sum(hidden))
-    on_cpu = jax.default_backend() == "cpu"  # which updates one run after the other
+    on_cpu = jax.default_backend() == "cpu"
     return MemoryEstimate(
         fixed=PROCESS_BYTES if on_cpu else 0,
         state=tree_bytes(state),
         rollout=rollout,
         evaluation=evaluation,
         minibatches=MINIBATCH_COPIES * batches,
-        update=batches + agent + (0 if on_cpu else layers + agent),
-        single_update=layers + agent if on_cpu else 0,
+        update=batches + agent + layers + agent,
         parts={
             "replay_transitions": ring,
             "environments": rollout,
@@ -123,7 +115,7 @@ def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
             "hidden_layers": 3 * agent,
             "curriculum": tree_bytes(state.curriculum),
         },
-        device_only=not on_cpu,
+        on_cpu=on_cpu,
     )
 
 

@@ -89,7 +89,7 @@ def plan_jobs(
             note += f", {largest} at a time,"
         note += f" take {format_bytes(estimate.total(largest, len(devices)))} of memory"
         if (sharing := share(largest, len(devices)).devices) > 1:
-            note += f" on {'each of ' if estimate.device_only else ''}{sharing} devices"
+            note += f" on {'each of ' if not estimate.on_cpu else ''}{sharing} devices"
         notes.append(note + (NOT_COUNTED if compiles_physics(trainer.setup.env) else ""))
     return jobs, notes
 
@@ -192,10 +192,10 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
         print(f"{note}; {where}", file=sys.stderr)
     with device_errors():
         if training is None:
-            spread_hyper = job.programs.spread(hyper)
-            state = job.programs.start(spread_hyper)
+            state = job.programs.start(hyper)
             if (start := start_beside(directory.path / CONFIG)) is not None:
-                warm = start_from(read_source(start), job.programs, spread_hyper, state)
+                filled_up = job.programs.spread(hyper)
+                warm = start_from(read_source(start), job.programs, filled_up, state)
                 state = job.programs.spread(warm)
             training = TrainingProgress(state, runs=len(job.group.runs))
         else:
@@ -248,7 +248,7 @@ def _train(
 ) -> bool:
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
     settings, programs = job.group.settings, job.programs
-    hyper = programs.spread(job.group.hyper())
+    hyper = job.group.hyper()
     began, pace = time.monotonic() - training.wall_s, Pace()
     progress.compiling()
     evaluates_first = True

@@ -17,7 +17,12 @@ from cgm_jax.config.grid import Group
 from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
-from cgm_jax.host.devices import check_devices, cpu_devices, parse_devices
+from cgm_jax.host.devices import (
+    check_devices,
+    cpu_devices,
+    describe_devices,
+    parse_devices,
+)
 from cgm_jax.host.differences import check_same, check_unchanged
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.extension import extended
@@ -79,7 +84,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                 RunDirectory.claimed(out, fresh=recorded is None) as directory,
                 Tracking(options.track, out) as tracking,
             ):
-                device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
+                device = describe_devices()
                 if recorded is None:
                     if start is not None:
                         directory.write_start(start)
@@ -200,7 +205,6 @@ def _train(
         options: how often to write checkpoints, and whether to write a table.
         shown: what is on the terminal until training ends.
         progress: part of that.
-        tracking: is told of every epoch.
         tracking: is told of every epoch.
     """
     from cgm_jax.host.runner import run_jobs

@@ -13,13 +13,22 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-from jax.sharding import Mesh
 
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cycle import cycle
-from cgm_jax.loop.devices import ON_EACH, SPREAD, Device, mesh_of, on_mesh, spread
+from cgm_jax.loop.devices import (
+    ON_EACH,
+    SPREAD,
+    Device,
+    Team,
+    on_each,
+    own_rows,
+    spread,
+    team_of,
+)
 from cgm_jax.loop.evaluation import Metrics, evaluate
+from cgm_jax.loop.in_turn import in_place, in_turn
 from cgm_jax.loop.setup import Setup, init_state, make_setup
 from cgm_jax.loop.state import TrainingState
 
@@ -84,17 +93,14 @@ class Programs(NamedTuple):
 
     Attributes:
         trainer: whose programs these are.
-        mesh: the devices, each of which has its share of the runs.
-        spread: hyperparameters, or states from a file, to what the others take: on their devices,
-            and with the last run repeated until the devices share the axis equally.
-        start: hyperparameters to states.
+        spread: states from a file to what the others take: on the devices, with rows left over.
+        start: hyperparameters to states, [rows, ...]: the runs first, then rows left over.
         train: states, hyperparameters and a number of cycles to states. Takes the states over:
             their buffers are reused.
         evaluate: states and hyperparameters to states and metrics; takes the states over.
     """
 
     trainer: Trainer
-    mesh: Mesh
     spread: Callable[[Any], Any]
     start: Callable[[Hyperparameters], TrainingState]
     train: Callable[[TrainingState, Hyperparameters, int], TrainingState]
@@ -102,24 +108,54 @@ class Programs(NamedTuple):
 
 
 def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> Programs:
-    """Jit a trainer and vmap it over a leading axis of runs. Nothing compiles yet.
+    """Jit a trainer, over a leading axis of runs. Nothing compiles yet.
 
     Args:
         trainer: of each run.
         devices: that share the runs; by default the first one alone.
     """
-    mesh = mesh_of(devices or jax.devices()[:1])
-    train = on_mesh(mesh, jax.vmap(trainer.train, in_axes=(0, 0, None)), SPREAD, SPREAD, ON_EACH)
+    team = team_of(devices or jax.devices()[:1])
+
+    def start(hyper: Hyperparameters) -> TrainingState:
+        own, count = own_rows(team, hyper)
+        return _over_rows(team, trainer.init, count)(own)
+
+    def train(states: TrainingState, hyper: Hyperparameters, cycles: jax.Array) -> TrainingState:
+        own, count = own_rows(team, hyper)
+        one = partial(_train_for, trainer, cycles)
+        return in_place(one, count)(states, own) if team.on_cpu else jax.vmap(one)(states, own)
+
+    def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
+        own, count = own_rows(team, hyper)
+        one = partial(_evaluate_without_replay, trainer)
+        after, metrics = _over_rows(team, one, count)(states, own)
+        return after.replace(replay=states.replay), metrics
+
     return Programs(
         trainer=trainer,
-        mesh=mesh,
-        spread=partial(spread, mesh),
-        start=jax.jit(on_mesh(mesh, jax.vmap(trainer.init), SPREAD)),
-        train=jax.jit(train, donate_argnums=0),
-        evaluate=jax.jit(
-            on_mesh(mesh, jax.vmap(trainer.evaluate), SPREAD, SPREAD), donate_argnums=0
-        ),
+        spread=partial(spread, team),
+        start=jax.jit(on_each(team, start, ON_EACH)),
+        train=jax.jit(on_each(team, train, SPREAD, ON_EACH, ON_EACH), donate_argnums=0),
+        evaluate=jax.jit(on_each(team, evaluate, SPREAD, ON_EACH), donate_argnums=0),
     )
+
+
+def _over_rows(team: Team, function: Callable[..., Any], count: jax.Array) -> Callable[..., Any]:
+    return in_turn(function, count) if team.on_cpu else jax.vmap(function)
+
+
+def _train_for(
+    trainer: Trainer, cycles: jax.Array, state: TrainingState, hyper: Hyperparameters
+) -> TrainingState:
+    return trainer.train(state, hyper, cycles)
+
+
+def _evaluate_without_replay(
+    trainer: Trainer, state: TrainingState, hyper: Hyperparameters
+) -> tuple[TrainingState, Metrics]:
+    """Evaluation does not change the replay, which is too large to be copied for nothing."""
+    state, metrics = trainer.evaluate(state, hyper)
+    return state.replace(replay=None), metrics
 
 
 def compilations(programs: Programs) -> int:

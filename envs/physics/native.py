@@ -27,7 +27,7 @@ from mujoco.batch import Batch
 from cgm_jax.envs.mocap_controller import ControlTarget
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.scene import Scene
-from cgm_jax.machine.allotment import available_cores
+from cgm_jax.machine.allotment import cores_each
 
 WORDS_PER_FLOAT64 = 2
 TIME_SIZE = 1  # a state row starts with the time; the positions follow
@@ -42,15 +42,15 @@ class NativePhysics:
     """The `native` engine. See `envs.physics.protocol.Physics`."""
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
-        """Prepare to simulate `scene` on `threads` threads per device of JAX.
+        """Prepare to simulate `scene` on `threads` threads per caller.
 
-        By default the devices share all cores that this process may use. Any number of threads
-        gives the same bits.
+        By default devices that compute at the same time share the cores that this process may
+        use. Any number of threads gives the same bits.
         """
         self._model = scene.model
         self._blocked = list(scene.blocked_addresses)
         self._substeps = scene.substeps
-        self._threads = threads or -(-available_cores() // jax.local_device_count())
+        self._threads = threads or cores_each()
         # Devices call at the same time, and a Batch serves one caller at a time.
         self._idle: dict[int, list[Batch]] = {}
         self._row_words = WORDS_PER_FLOAT64 * mujoco.mj_stateSize(self._model, STATE_ROW)
