@@ -27,8 +27,7 @@ from cgm_jax.storage.run_directory import CONFIG, RunDirectory
 OPTIONS = {
     "reach": "--epochs 8",
     "push": "--curriculum full --epochs 40",
-    "pick_and_place": "--her-filter off --random-action-steps 1 --seed 1 --epochs 100 "
-    "--leave-at 0.9",
+    "pick_and_place": "--epochs 41",
 }
 """How each is trained; `--preset cpu --env TASK` comes first."""
 
@@ -87,6 +86,7 @@ def chosen(task: str, directory: RunDirectory) -> tuple[dict[str, Any], dict[str
     facts = {
         "command": " ".join(config["command"]),
         "commit": config["commit"],
+        "epochs": directory.metrics()[-1]["epoch"],
         "policy": best,
         "chosen_among": len(candidates),
         "success_rate": measured,

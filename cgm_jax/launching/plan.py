@@ -212,9 +212,7 @@ def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
     preset = options.preset or options.default_preset
     groups = build_groups(preset, chosen)
     for kind, text in _own_code(options):
-        importlib.import_module(
-            "cgm_jax.envs.quiet_import"
-        )  # MJX without its remarks, ahead of Brax
+        importlib.import_module("cgm_jax.envs.quiet_import")  # ahead of Brax, which it silences
         load_named(kind, text)
     return groups, preset
 

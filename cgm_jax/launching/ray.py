@@ -91,12 +91,11 @@ class Ray:
         """
         try:
             return int(self._ray.get(task))
-        except self._ray.exceptions.RayTaskError as error:
-            if isinstance(error.cause, OSError):
-                raise SettingError(f"on: {error.cause}") from None
-            raise
-        except self._ray.exceptions.RayError:
-            return None
+        except self._ray.exceptions.RayError as error:
+            cause = getattr(error, "cause", None)
+            if isinstance(cause, FileNotFoundError):
+                raise SettingError(f"on: {cause}") from None
+            return None  # lost, or cancelled
 
     def stop(self) -> None:
         """See `Engine`."""

@@ -40,7 +40,8 @@ def example_batch(*leading: int, seed: int = 0) -> Minibatch:
             return jnp.asarray(generator.uniform(-1, 1, shape), jnp.float32)
         return jnp.asarray(generator.normal(size=shape), jnp.float32)
 
-    return Minibatch(**{name: drawn(name) for name in SHAPES})
+    arrays: dict[str, Any] = {name: drawn(name) for name in SHAPES}
+    return Minibatch(**arrays)
 
 
 def perceptron(parameters: Any, inputs: np.ndarray) -> np.ndarray:

@@ -30,7 +30,9 @@ def uninterrupted(out: Path) -> Path:
     """The same in one sweep that nothing disturbs, on one core as a part is."""
     cores = Cores(1)
     with cores.inherited():
-        subprocess.run(command(*SWEEP[2:], "--out", str(out)), check=True, cwd=ROOT)
+        subprocess.run(
+            command(*SWEEP[2:], "--out", str(out)), check=True, capture_output=True, cwd=ROOT
+        )
     cores.release()
     assert len(rows(out)) == 4 * EPOCHS
     return out

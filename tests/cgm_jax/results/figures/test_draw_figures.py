@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import pytest
@@ -35,7 +36,7 @@ def test_figures_that_make_no_sense_are_left_out_without_a_word(
 def test_a_figure_that_would_be_missed_is_a_line(
     directory: RunDirectory, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    levels = {"level": [0.0, 0.5, 1.0], "level_probability": [0.2, 0.3, 0.5]}
+    levels: dict[str, Any] = {"level": [0.0, 0.5, 1.0], "level_probability": [0.2, 0.3, 0.5]}
     write(directory, run([0.1, 0.2], reported=[*levels], **levels))
     drawn = [path.name for path in draw_figures(directory)]
     assert drawn == ["learning_curves.png", "curriculum.png"]
