@@ -51,7 +51,7 @@ def plan_jobs(
         groups: the parts of one program next to each other.
         devices: that share the runs of each.
         planned: whether they are the parts of an earlier plan. Those stay, whatever the memory
-            is today: bits depend on how many runs train side by side.
+            is today: a checkpoint holds the runs of a part.
 
     Returns:
         Jobs in order, and one line per program.
