@@ -17,7 +17,6 @@ MAX_CPU_DEVICES = 256
 POOL_THREADS = 8
 """Threads of XLA's pool on a CPU, and the most devices that share it. Bits depend on it, since the
 products that are summed over a batch are cut into as many parts; so it is the same on all machines.
-More than there are cores costs nothing.
 """
 
 POOL_VARIABLE = "PJRT_NPROC"
