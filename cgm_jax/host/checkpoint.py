@@ -43,11 +43,13 @@ class TrainingProgress:
     """How far a group of runs has trained, and what it needs to resume there.
 
     Attributes:
-        state: training state, every leaf [runs, ...].
+        state: training state, every leaf [runs or more, ...]: devices that share the axis may have
+            filled it up.
         epoch: whole epochs done.
         cycle: cycles done of the next epoch.
         wall_s: seconds of training so far, over all processes that took part.
         rows: its rows of metrics.jsonl so far.
+        runs: how many of the state's there are in truth, and are stored; None for all.
     """
 
     state: TrainingState
@@ -55,6 +57,7 @@ class TrainingProgress:
     cycle: int = 0
     wall_s: float = 0.0
     rows: list[Row] = field(default_factory=list)
+    runs: int | None = None
 
 
 def save_checkpoint(
@@ -145,7 +148,7 @@ def _named_arrays(training: TrainingProgress) -> Iterator[tuple[str, np.ndarray]
     yield "rows", np.frombuffer(to_lines(training.rows).encode(), np.uint8)
     filled = _filled(training.state)
     for name, leaf in named_leaves(training.state):
-        array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+        array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)[: training.runs]
         yield name, array[:, :filled] if name.startswith(RING) else array
 
 
@@ -185,7 +188,8 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
             restore_leaf(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)
         ]
         state = jax.tree.unflatten(structure, restored)
-        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows)
+        runs = len(jax.tree.leaves(like)[0])
+        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs)
 
 
 def _rows(path: Path, text: bytes) -> list[Row]:

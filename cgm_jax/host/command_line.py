@@ -25,6 +25,7 @@ from cgm_jax.config.named import is_own, name_now
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.config.spelling import value_of
+from cgm_jax.host.devices import ALL, parse_devices
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.setting_options import (
     SettingOptions,
@@ -102,6 +103,10 @@ class TrainingOptions(SettingOptions):
     checkpoint_seconds: float = DEFAULT_CHECKPOINT_SECONDS
     """Least time between checkpoints; has no effect on results."""
 
+    devices: str = ALL
+    """Devices that share the runs: a number, or all. Of a CPU that is one for each core given, at
+    most 8; bits do not depend on it, unless you ask for more."""
+
     track: Annotated[
         str | None,
         tyro.conf.arg(
@@ -123,6 +128,7 @@ class TrainingOptions(SettingOptions):
             raise SettingError(
                 f"checkpoint_seconds: {seconds} is not a finite number of at least 0"
             )
+        parse_devices(self.devices)
         for name in ("out", "resume", "config", "start"):
             if getattr(self, name) == Path():
                 raise SettingError(f"{name.replace('start', 'from')}: is empty")

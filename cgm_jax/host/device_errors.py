@@ -22,7 +22,19 @@ def device_errors() -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        _wait_for_others()
         raise DeviceError(summary(f"{type(error).__name__}: {error}")) from error
+
+
+def _wait_for_others() -> None:
+    """Wait for other devices, and forget what failed: at exit JAX would print it all again."""
+    with contextlib.suppress(ImportError, AttributeError):  # JAX has no public way
+        from jax._src.dispatch import runtime_tokens
+
+        for token in runtime_tokens.output_runtime_tokens.values():
+            with contextlib.suppress(Exception):
+                token.block_until_ready()
+        runtime_tokens.clear()
 
 
 def summary(text: str) -> str:

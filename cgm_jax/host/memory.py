@@ -19,6 +19,7 @@ import jax
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.loop.devices import share
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.setup import sizes
 from cgm_jax.loop.training import Trainer
@@ -46,17 +47,16 @@ LAYER_COPIES = 5.3
 
 @dataclass(frozen=True)
 class MemoryEstimate:
-    """Bytes that a group of runs takes on the device; on a CPU, the whole process.
+    """Bytes that a group of runs takes on each device; on a CPU, the whole process.
 
     Attributes:
         fixed: whatever the number of runs.
         state: per run, the training state.
-        rollout, evaluation, minibatches: per run, further phases of the programs, of which only
-            one holds memory at a time.
-        update: per run, the phase of network updates.
-        single_update: what the phase of network updates takes once, where runs are updated one
-            after another.
+        rollout, evaluation, minibatches, update: per run, further phases of the programs, of which
+            only one holds memory at a time.
         parts: per run, the setting that decides each part of it, with its bytes.
+        on_cpu: devices share the memory, and train their runs one after another, each in a copy of
+            its state. If it is one, the idle device beside it holds as many states.
     """
 
     fixed: int
@@ -65,18 +65,16 @@ class MemoryEstimate:
     evaluation: int
     minibatches: int
     update: int
-    single_update: int
     parts: dict[str, int]
+    on_cpu: bool = False
 
-    def total(self, runs: int) -> int:
-        """Bytes for so many runs at once."""
-        phases = (
-            runs * self.rollout,
-            runs * self.evaluation,
-            runs * self.minibatches,
-            runs * self.update + self.single_update,
-        )
-        return self.fixed + runs * self.state + max(phases)
+    def total(self, runs: int, devices: int = 1) -> int:
+        """Bytes for so many runs at once: on the fullest device, or on all where they share it."""
+        sharing, runs = share(runs, devices)
+        phase = max(self.rollout, self.evaluation, self.minibatches, self.update)
+        if not self.on_cpu:
+            return self.fixed + runs * (self.state + phase)
+        return self.fixed + max(2, sharing) * runs * self.state + sharing * (self.state + phase)
 
 
 def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
@@ -101,15 +99,14 @@ def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
     evaluation = episodes * (EVALUATION_COPIES * episode + step)
     agent, batches = tree_bytes(state.agent), tree_bytes(drawn)
     layers = int(LAYER_COPIES * 4 * settings.batch_size * sum(hidden))
-    on_cpu = jax.default_backend() == "cpu"  # which updates one run after the other
+    on_cpu = jax.default_backend() == "cpu"
     return MemoryEstimate(
         fixed=PROCESS_BYTES if on_cpu else 0,
         state=tree_bytes(state),
         rollout=rollout,
         evaluation=evaluation,
         minibatches=MINIBATCH_COPIES * batches,
-        update=batches + agent + (0 if on_cpu else layers + agent),
-        single_update=layers + agent if on_cpu else 0,
+        update=batches + agent + layers + agent,
         parts={
             "replay_transitions": ring,
             "environments": rollout,
@@ -118,6 +115,7 @@ def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
             "hidden_layers": 3 * agent,
             "curriculum": tree_bytes(state.curriculum),
         },
+        on_cpu=on_cpu,
     )
 
 
@@ -127,8 +125,8 @@ def _hidden_widths(agent: Any, state: Any) -> list[int]:
     return [layers[f"layer_{i}"]["bias"].shape[-1] for i in range(len(layers) - 1)]
 
 
-def runs_that_fit(estimate: MemoryEstimate, runs: int) -> int:
-    """How many of `runs` runs fit at once.
+def runs_that_fit(estimate: MemoryEstimate, runs: int, devices: int = 1) -> int:
+    """How many of `runs` runs fit at once on so many devices.
 
     A single run that would take more than is planned with, but not more than there is, is tried.
 
@@ -142,8 +140,9 @@ def runs_that_fit(estimate: MemoryEstimate, runs: int) -> int:
             f"{largest}: one run takes {format_bytes(estimate.total(1))} of memory, "
             f"and {format_bytes(free)} are free"
         )
-    numbers = range(1, runs + 1)
-    return max(1, bisect.bisect_right(numbers, free * USABLE_SHARE, key=estimate.total))
+    usable, numbers = free * USABLE_SHARE, range(1, runs + 1)
+    total = partial(estimate.total, devices=devices)
+    return max(1, bisect.bisect_right(numbers, usable, key=total))
 
 
 def format_bytes(count: int) -> str:
@@ -157,8 +156,8 @@ def tree_bytes(tree: object) -> int:
 
 
 def free_bytes() -> int:
-    """Free memory of the device that JAX computes on; of the host if that is the CPU."""
-    statistics = jax.devices()[0].memory_stats()
-    if statistics and "bytes_limit" in statistics:
-        return statistics["bytes_limit"] - statistics.get("bytes_in_use", 0)
-    return free_memory()
+    """Free memory of the fullest device that JAX computes on; of the host if that is the CPU."""
+    known = [device.memory_stats() for device in jax.local_devices()]
+    if not all(statistics and "bytes_limit" in statistics for statistics in known):
+        return free_memory()
+    return min(found["bytes_limit"] - found.get("bytes_in_use", 0) for found in known if found)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import numpy as np
 
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
@@ -22,6 +21,7 @@ from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
+from cgm_jax.loop.devices import Device, share
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
@@ -40,15 +40,18 @@ class Job:
     programs: Programs
 
 
-def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[Job], list[str]]:
+def plan_jobs(
+    groups: Sequence[Group], devices: Sequence[Device], *, planned: bool = False
+) -> tuple[list[Job], list[str]]:
     """Build what groups need, split those that do not fit into memory, and say what they take.
 
     Parts of one group share their programs, so that equal parts compile once.
 
     Args:
         groups: the parts of one program next to each other.
+        devices: that share the runs of each.
         planned: whether they are the parts of an earlier plan. Those stay, whatever the memory
-            is today: bits depend on how many runs train side by side.
+            is today: a checkpoint holds the runs of a part.
 
     Returns:
         Jobs in order, and one line per program.
@@ -58,14 +61,14 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
             would overflow.
     """
     jobs, notes = [], []
-    made: dict[Settings, Programs] = {}
+    made: dict[tuple[Settings, int], Programs] = {}
+    trainers: dict[Settings, Trainer] = {}
     for _, same in itertools.groupby(groups, key=_program):
         parts = list(same)
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
-        if settings not in made:
-            made[settings] = make_programs(make_trainer(make_environment(settings), settings))
-        programs = made[settings]
-        trainer = programs.trainer
+        if settings not in trainers:
+            trainers[settings] = make_trainer(make_environment(settings), settings)
+        trainer = trainers[settings]
         _check_counters(trainer)
         check_components(trainer, runs[0])
         remarks = [*remarks_on(trainer.setup.env), *_remarks_on_discount(trainer, runs)]
@@ -73,14 +76,20 @@ def plan_jobs(groups: Sequence[Group], *, planned: bool = False) -> tuple[list[J
         estimate = estimate_memory(trainer, runs[0].hyper)
         if not planned:
             (whole,) = parts
-            fitting = runs_that_fit(estimate, len(runs))
+            fitting = runs_that_fit(estimate, len(runs), len(devices))
             parts = split(whole, min(fitting, settings.side_by_side))
-        jobs += [Job(part, programs) for part in parts]
+        for part in parts:
+            count = share(len(part.runs), len(devices)).devices
+            if (settings, count) not in made:
+                made[settings, count] = make_programs(trainer, devices[:count])
+            jobs.append(Job(part, made[settings, count]))
         largest = max(len(part.runs) for part in parts)
         note = f"{settings.env}: {len(runs)} runs"
         if len(parts) > 1:
             note += f", {largest} at a time,"
-        note += f" take {format_bytes(estimate.total(largest))} of memory"
+        note += f" take {format_bytes(estimate.total(largest, len(devices)))} of memory"
+        if (sharing := share(largest, len(devices)).devices) > 1:
+            note += f" on {'each of ' if not estimate.on_cpu else ''}{sharing} devices"
         notes.append(note + (NOT_COUNTED if compiles_physics(trainer.setup.env) else ""))
     return jobs, notes
 
@@ -171,7 +180,7 @@ def run_jobs(
 def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
     """A job's last checkpoint, or its beginning."""
     hyper = job.group.hyper()
-    like = jax.eval_shape(job.programs.start, hyper)
+    like = jax.eval_shape(jax.vmap(job.programs.trainer.init), hyper)
     training, notes = load_checkpoint(directory.path / "checkpoints", index, like)
     if training is not None:
         try:
@@ -181,12 +190,17 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
         print(f"{note}; {where}", file=sys.stderr)
-    if training is None:
-        with device_errors():
+    with device_errors():
+        if training is None:
             state = job.programs.start(hyper)
             if (start := start_beside(directory.path / CONFIG)) is not None:
-                state = start_from(read_source(start), job.programs, hyper, state)
-            training = TrainingProgress(jax.block_until_ready(state))
+                filled_up = job.programs.spread(hyper)
+                warm = start_from(read_source(start), job.programs, filled_up, state)
+                state = job.programs.spread(warm)
+            training = TrainingProgress(state, runs=len(job.group.runs))
+        else:
+            training.state = job.programs.spread(training.state)
+        jax.block_until_ready(training.state)
     return training
 
 
@@ -233,14 +247,15 @@ def _train(
     interruption: Interruption,
 ) -> bool:
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
-    settings, programs, hyper = job.group.settings, job.programs, job.group.hyper()
+    settings, programs = job.group.settings, job.programs
+    hyper = job.group.hyper()
     began, pace = time.monotonic() - training.wall_s, Pace()
     progress.compiling()
     evaluates_first = True
     with watchdog() as something_happened:
         while not _is_finished(job.group, training):
             if training.cycle < settings.cycles_per_epoch:
-                _train_chunk(programs, training, hyper, pace, progress)
+                _train_chunk(job, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
             else:
                 if evaluates_first:
@@ -270,23 +285,22 @@ def _is_finished(group: Group, training: TrainingProgress) -> bool:
 
 
 def _train_chunk(
-    programs: Programs,
+    job: Job,
     training: TrainingProgress,
     hyper: Hyperparameters,
     pace: Pace,
     progress: SweepProgress,
 ) -> None:
-    trainer = programs.trainer
-    settings, env = trainer.setup.settings, trainer.setup.env
+    settings, env = job.group.settings, job.programs.trainer.setup.env
     cycles = pace.next_chunk(settings.cycles_per_epoch - training.cycle)
     began = time.monotonic()
     with device_errors():
-        training.state = jax.block_until_ready(programs.train(training.state, hyper, cycles))
+        training.state = jax.block_until_ready(job.programs.train(training.state, hyper, cycles))
     seconds = time.monotonic() - began
     pace.record(cycles, seconds)
     training.cycle += cycles
     steps_per_cycle = settings.environments * env.episode_length
-    progress.advance(cycles, cycles * steps_per_cycle * len(np.asarray(hyper.seed)), seconds)
+    progress.advance(cycles, cycles * steps_per_cycle * len(job.group.runs), seconds)
 
 
 def _close_epoch(programs: Programs, training: TrainingProgress, hyper: Hyperparameters) -> Metrics:

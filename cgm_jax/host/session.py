@@ -17,6 +17,12 @@ from cgm_jax.config.grid import Group
 from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
 from cgm_jax.host.device_errors import DeviceError
+from cgm_jax.host.devices import (
+    check_devices,
+    cpu_devices,
+    describe_devices,
+    parse_devices,
+)
 from cgm_jax.host.differences import check_same, check_unchanged
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.extension import extended
@@ -59,13 +65,15 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
             named = {kind: asked.chosen.get(kind, ()) for kind in NAMES}
             moved = RunDirectory.open(out).moved(named)
         recorded = None if out is None else _recorded_groups(out, asked, moved)
-        prepare_jax()
+        to_train, devices = recorded or asked.groups or [], parse_devices(options.devices)
+        prepare_jax(cpu_devices(devices, to_train))
         import jax
 
         from cgm_jax.host.dry_run import show_plan
         from cgm_jax.host.runner import plan_jobs
 
-        jobs, notes = plan_jobs(recorded or asked.groups or [], planned=recorded is not None)
+        check_devices(devices)
+        jobs, notes = plan_jobs(to_train, jax.devices()[:devices], planned=recorded is not None)
         start = None if recorded else _start(asked, jobs)
         if options.dry_run:
             shown.close()
@@ -76,7 +84,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                 RunDirectory.claimed(out, fresh=recorded is None) as directory,
                 Tracking(options.track, out) as tracking,
             ):
-                device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
+                device = describe_devices()
                 if recorded is None:
                     if start is not None:
                         directory.write_start(start)
@@ -197,7 +205,6 @@ def _train(
         options: how often to write checkpoints, and whether to write a table.
         shown: what is on the terminal until training ends.
         progress: part of that.
-        tracking: is told of every epoch.
         tracking: is told of every epoch.
     """
     from cgm_jax.host.runner import run_jobs

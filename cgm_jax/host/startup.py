@@ -1,11 +1,13 @@
 """JAX's own settings, made before it touches a device."""
 
+import contextlib
 import os
 from pathlib import Path
 
 import jax
 
-from cgm_jax.machine.allotment import available_cores
+from cgm_jax.host.devices import POOL_THREADS, POOL_VARIABLE
+from cgm_jax.machine.allotment import share_cores
 
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
 """LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as
@@ -14,16 +16,27 @@ libraries. It has no effect on a GPU.
 """
 
 
-def prepare_jax() -> None:
-    """Compile fast, keep compiled programs between processes, and take the cores given.
+DEVICE_COUNT = "xla_force_host_platform_device_count"
+"""A user's own flag for what `prepare_jax` is asked for."""
+
+
+def prepare_jax(cpu_devices: int = 1) -> None:
+    """Compile fast, keep compiled programs between processes, and give the same bits anywhere.
 
     Variables and flags that the user has set are left alone.
+
+    Args:
+        cpu_devices: how many devices of a CPU are to share the runs. JAX makes two if it is one:
+            see `cgm_jax.loop.devices.team_of`. Has no effect on a GPU.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{OPTIMISATION_LEVEL}=1".strip()
-    # Threads of XLA on a CPU, which by itself looks at the affinity alone.
-    os.environ.setdefault("PJRT_NPROC", str(available_cores()))
+    if DEVICE_COUNT not in flags:
+        with contextlib.suppress(RuntimeError):  # JAX has started; then it stays as it is
+            jax.config.update("jax_num_cpu_devices", max(2, cpu_devices))
+    os.environ.setdefault(POOL_VARIABLE, str(POOL_THREADS))
+    share_cores(cpu_devices)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (cache := _cache_directory()) is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:

@@ -60,7 +60,7 @@ def check_start(source: Arrays, programs: Programs, hyper: Hyperparameters) -> N
     Raises:
         SettingError: it does not fit; the message says what differs.
     """
-    start_from(source, programs, hyper, jax.eval_shape(programs.start, hyper))
+    start_from(source, programs, hyper, jax.eval_shape(jax.vmap(programs.trainer.init), hyper))
 
 
 def start_from(

@@ -8,16 +8,27 @@
 One run is a sweep of one: `jax.vmap` the same functions over states and hyperparameters.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cycle import cycle
+from cgm_jax.loop.devices import (
+    ON_EACH,
+    SPREAD,
+    Device,
+    Team,
+    on_each,
+    own_rows,
+    spread,
+    team_of,
+)
 from cgm_jax.loop.evaluation import Metrics, evaluate
+from cgm_jax.loop.in_turn import in_place, in_turn
 from cgm_jax.loop.setup import Setup, init_state, make_setup
 from cgm_jax.loop.state import TrainingState
 
@@ -75,33 +86,76 @@ def epoch(
 
 
 class Programs(NamedTuple):
-    """A trainer's functions, jitted and vmapped over a leading axis of runs.
+    """A trainer's functions, jitted, over a leading axis of runs that devices share.
 
     One compiled program each per number of runs and structure of their settings, whatever the
     values that they sweep.
 
     Attributes:
         trainer: whose programs these are.
-        start: hyperparameters to states.
+        spread: states from a file to what the others take: on the devices, with rows left over.
+        start: hyperparameters to states, [rows, ...]: the runs first, then rows left over.
         train: states, hyperparameters and a number of cycles to states. Takes the states over:
             their buffers are reused.
         evaluate: states and hyperparameters to states and metrics; takes the states over.
     """
 
     trainer: Trainer
+    spread: Callable[[Any], Any]
     start: Callable[[Hyperparameters], TrainingState]
     train: Callable[[TrainingState, Hyperparameters, int], TrainingState]
     evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
 
 
-def make_programs(trainer: Trainer) -> Programs:
-    """Jit and vmap a trainer over a leading axis of runs. Nothing compiles yet."""
+def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> Programs:
+    """Jit a trainer, over a leading axis of runs. Nothing compiles yet.
+
+    Args:
+        trainer: of each run.
+        devices: that share the runs; by default the first one alone.
+    """
+    team = team_of(devices or jax.devices()[:1])
+
+    def start(hyper: Hyperparameters) -> TrainingState:
+        own, count = own_rows(team, hyper)
+        return _over_rows(team, trainer.init, count)(own)
+
+    def train(states: TrainingState, hyper: Hyperparameters, cycles: jax.Array) -> TrainingState:
+        own, count = own_rows(team, hyper)
+        one = partial(_train_for, trainer, cycles)
+        return in_place(one, count)(states, own) if team.on_cpu else jax.vmap(one)(states, own)
+
+    def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
+        own, count = own_rows(team, hyper)
+        one = partial(_evaluate_without_replay, trainer)
+        after, metrics = _over_rows(team, one, count)(states, own)
+        return after.replace(replay=states.replay), metrics
+
     return Programs(
         trainer=trainer,
-        start=jax.jit(jax.vmap(trainer.init)),
-        train=jax.jit(jax.vmap(trainer.train, in_axes=(0, 0, None)), donate_argnums=0),
-        evaluate=jax.jit(jax.vmap(trainer.evaluate), donate_argnums=0),
+        spread=partial(spread, team),
+        start=jax.jit(on_each(team, start, ON_EACH)),
+        train=jax.jit(on_each(team, train, SPREAD, ON_EACH, ON_EACH), donate_argnums=0),
+        evaluate=jax.jit(on_each(team, evaluate, SPREAD, ON_EACH), donate_argnums=0),
     )
+
+
+def _over_rows(team: Team, function: Callable[..., Any], count: jax.Array) -> Callable[..., Any]:
+    return in_turn(function, count) if team.on_cpu else jax.vmap(function)
+
+
+def _train_for(
+    trainer: Trainer, cycles: jax.Array, state: TrainingState, hyper: Hyperparameters
+) -> TrainingState:
+    return trainer.train(state, hyper, cycles)
+
+
+def _evaluate_without_replay(
+    trainer: Trainer, state: TrainingState, hyper: Hyperparameters
+) -> tuple[TrainingState, Metrics]:
+    """Evaluation does not change the replay, which is too large to be copied for nothing."""
+    state, metrics = trainer.evaluate(state, hyper)
+    return state.replace(replay=None), metrics
 
 
 def compilations(programs: Programs) -> int:

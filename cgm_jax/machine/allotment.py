@@ -18,6 +18,19 @@ MEMORY_VARIABLE = "CGM_JAX_MEMORY_MIB"
 """Variable by which a launcher tells a process its share of the machine's memory."""
 
 
+_teams = [1]
+
+
+def share_cores(teams: int) -> None:
+    """Say that so many devices of this process compute at the same time."""
+    _teams[0] = teams
+
+
+def cores_each() -> int:
+    """Cores for each of the devices that compute at the same time, rounded up."""
+    return -(-available_cores() // _teams[0])
+
+
 def available_cores(root: Path = ROOT, environment: Mapping[str, str] = os.environ) -> int:
     """Cores that this process may keep busy: the least of all that limit it.
 

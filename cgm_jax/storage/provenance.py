@@ -71,9 +71,14 @@ def changes(
             if old.get(name) != new.get(name):
                 found.append(_change(_shown(name), old.get(name), new.get(name)))
     for kind, title in TITLES.items():
-        if kind in before and before[kind] != now[kind]:
+        if kind in before and _decisive(kind, before[kind]) != _decisive(kind, now[kind]):
             found.append(_change(title, before[kind], now[kind]))
     return found
+
+
+def _decisive(kind: str, entry: Any) -> Any:
+    """What bits depend on of an entry: not on the number of cores, which ends that of a machine."""
+    return str(entry).rpartition(", ")[0] if kind == "machine" else entry
 
 
 def _change(title: str, before: Any, now: Any) -> str:
@@ -101,11 +106,11 @@ def moved_path(name: str, moved: Mapping[str, str]) -> Path:
 
 
 def _variables() -> dict[str, str]:
-    """JAX's settings in the environment, less those of its cache, which change no result."""
+    """Settings of JAX and of XLA's threads, less those of a cache, which change no result."""
     return {
         name: value
         for name, value in sorted(os.environ.items())
-        if name.startswith("JAX_") and "CACHE" not in name
+        if name.startswith(("JAX_", "PJRT_")) and "CACHE" not in name
     }
 
 
@@ -131,7 +136,7 @@ def _commit() -> str | None:
 
 
 def _machine() -> str:
-    """The system, and how many of its cores this process may use: bits depend on both."""
+    """The system, and how many of its cores this process may use, on which its time depends."""
     usable, there = available_cores(), os.cpu_count()
     cores = f"{there} cores" if usable == there else f"{usable} of {there} cores"
     return f"{platform.platform()}, {cores}"

@@ -13,7 +13,8 @@ them through JAX arrays, which costs about ten times as much per call.
 # mujoco's compiled modules come without stubs.
 # pyright: reportAttributeAccessIssue=false
 
-import threading
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -26,7 +27,7 @@ from mujoco.batch import Batch
 from cgm_jax.envs.mocap_controller import ControlTarget
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.scene import Scene
-from cgm_jax.machine.allotment import available_cores
+from cgm_jax.machine.allotment import cores_each
 
 WORDS_PER_FLOAT64 = 2
 TIME_SIZE = 1  # a state row starts with the time; the positions follow
@@ -41,17 +42,17 @@ class NativePhysics:
     """The `native` engine. See `envs.physics.protocol.Physics`."""
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
-        """Prepare to simulate `scene` on `threads` threads (default: all this process may use).
+        """Prepare to simulate `scene` on `threads` threads per caller.
 
-        Any number of threads gives the same bits.
+        By default devices that compute at the same time share the cores that this process may
+        use. Any number of threads gives the same bits.
         """
         self._model = scene.model
         self._blocked = list(scene.blocked_addresses)
         self._substeps = scene.substeps
-        self._threads = threads or available_cores()
-        self._batches: dict[int, Batch] = {}
-        # XLA may run two programs at once, and a Batch serves one caller at a time.
-        self._lock = threading.Lock()
+        self._threads = threads or cores_each()
+        # Devices call at the same time, and a Batch serves one caller at a time.
+        self._idle: dict[int, list[Batch]] = {}
         self._row_words = WORDS_PER_FLOAT64 * mujoco.mj_stateSize(self._model, STATE_ROW)
 
     def start(self, positions: jax.Array) -> PhysicsState:
@@ -86,8 +87,7 @@ class NativePhysics:
     def _start(self, _: Any, outputs: Any, positions: Any) -> None:
         """Host side of `start`: every simulation at rest at its positions."""
         positions = _rows(positions)
-        with self._lock:
-            batch = self._batch(len(positions))
+        with self._batch(len(positions)) as batch:
             batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
             batch.bind("qpos")[:] = positions
             batch.forward(stage=SENSOR_STAGE)
@@ -96,8 +96,7 @@ class NativePhysics:
     def _advance(self, _: Any, outputs: Any, state: Any, command: Any) -> None:
         """Host side of `advance`: load the rows, set the commands, step, hand the rows back."""
         rows, command = _rows(state), _rows(command)
-        with self._lock:
-            batch = self._batch(len(rows))
+        with self._batch(len(rows)) as batch:
             batch.state[:] = rows.view(np.float64)
             batch.bind("qpos")[:, self._blocked] = 0.0
             batch.bind("mocap_pos")[:, 0] = command[:, :3]
@@ -114,13 +113,17 @@ class NativePhysics:
         warnings.reshape(-1)[:] = batch.warning[:, :, COUNT].sum(axis=-1)
         batch.warning[:] = 0
 
-    def _batch(self, simulations: int) -> Batch:
-        """The batch of that size; training and evaluation each reuse their own."""
-        if simulations not in self._batches:
+    @contextlib.contextmanager
+    def _batch(self, simulations: int) -> Iterator[Batch]:
+        """A batch of that size which nobody uses; training and evaluation each reuse their own."""
+        idle = self._idle.setdefault(simulations, [])
+        try:
+            batch = idle.pop()
+        except IndexError:
             batch = Batch(self._model, simulations, self._threads)
             batch.bind("sensordata")
-            self._batches[simulations] = batch
-        return self._batches[simulations]
+        yield batch
+        idle.append(batch)
 
 
 def _rows(buffer: Any) -> np.ndarray:

@@ -72,7 +72,7 @@ def compiled_once() -> Iterator[None]:
     trainers, made = functools.cache(runner.make_trainer), {}
     make = runner.make_programs
 
-    def programs(trainer: runner.Trainer) -> object:
+    def programs(trainer: runner.Trainer, _: object) -> object:
         return made.setdefault(id(trainer), make(trainer))
 
     with (

@@ -57,7 +57,7 @@ def test_it_trains_stops_and_resumes_by_the_command_line(
     monkeypatch.setattr(runner, "make_environment", functools.cache(runner.make_environment))
     monkeypatch.setattr(runner, "make_trainer", functools.cache(runner.make_trainer))
     monkeypatch.setattr(
-        runner, "make_programs", lambda trainer: programs.setdefault(id(trainer), make(trainer))
+        runner, "make_programs", lambda trainer, _: programs.setdefault(id(trainer), make(trainer))
     )
     record = recorder.Recorder.record_epoch
 

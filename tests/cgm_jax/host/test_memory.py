@@ -51,14 +51,22 @@ def test_the_parts_of_a_run_by_hand() -> None:
     critic = 8 * 16 + 16 + 16 * 16 + 16 + 16 * 1 + 1
     # Networks, targets and two moments each; a counter per optimiser, and one of updates.
     agent = 4 * (4 * (actor + critic) + 3)
-    assert estimate.update == minibatches + agent
-    assert estimate.single_update == agent + int(5.3 * 4 * TINY.batch_size * 32)
+    layers = int(5.3 * 4 * TINY.batch_size * 32)
+    assert estimate.update == minibatches + agent + layers + agent
 
 
 def test_phases_do_not_add_up() -> None:
-    estimate = MemoryEstimate(1000, 10, 5, 6, 7, 3, 100, {})
-    assert estimate.total(1) == 1000 + 10 + 103
-    assert estimate.total(100) == 1000 + 1000 + 700
+    estimate = MemoryEstimate(1000, 10, 5, 6, 7, 3, {})
+    assert estimate.total(1) == 1000 + 10 + 7
+    assert estimate.total(100) == 1000 + 100 * (10 + 7)
+    assert estimate.total(100, devices=3) == 1000 + 34 * (10 + 7)  # the fullest of them
+
+
+def test_on_a_cpu_runs_take_turns_in_a_copy_of_their_state() -> None:
+    estimate = MemoryEstimate(1000, 10, 5, 6, 7, 3, {}, on_cpu=True)
+    assert estimate.total(1) == 1000 + 2 * 10 + 10 + 7  # an idle device beside it
+    assert estimate.total(3, devices=2) == 1000 + 2 * 2 * 10 + 2 * (10 + 7)  # one row left over
+    assert estimate.total(8, devices=4) == 1000 + 4 * 2 * 10 + 4 * (10 + 7)
 
 
 CASES = {
@@ -79,7 +87,8 @@ def test_the_model_of_each_phase_against_xlas_own_plan(case: str) -> None:
     state = jax.eval_shape(programs.start, hyper)
     plan = programs.train.lower(state, hyper, 1).compile().memory_analysis()  # pyright: ignore
     estimate = estimate_memory(trainer, run.hyper)
-    modelled = estimate.total(runs) - estimate.fixed
+    idle = runs * estimate.state  # of a second device, which this process has not
+    modelled = estimate.total(runs) - estimate.fixed - idle
     actual = plan.argument_size_in_bytes + plan.temp_size_in_bytes
     assert modelled == pytest.approx(actual, rel=0.35)
 
@@ -103,7 +112,9 @@ def test_a_sweep_takes_what_was_said_beforehand(env: str, tmp_path: Path) -> Non
         check=True,
     )
     actual = int(result.stdout.split()[-1]) / 1024
-    said = re.search(r"take ([\d.,]+) ([MG])iB of memory$", result.stderr, re.MULTILINE)
+    said = re.search(
+        r"take ([\d.,]+) ([MG])iB of memory(?: on \d+ devices)?$", result.stderr, re.MULTILINE
+    )
     assert said is not None
     estimate = float(said[1].replace(",", "")) * (1024 if said[2] == "G" else 1)
     assert estimate == pytest.approx(actual, rel=0.15)
@@ -113,7 +124,7 @@ def test_what_is_free_is_within_what_a_machine_has() -> None:
     assert 2**26 < free_bytes() < 2**50
 
 
-ESTIMATE = MemoryEstimate(100, 10, 0, 0, 0, 0, 0, {"replay_transitions": 9, "batch_size": 1})
+ESTIMATE = MemoryEstimate(100, 10, 0, 0, 0, 0, {"replay_transitions": 9, "batch_size": 1})
 
 
 @pytest.mark.parametrize(("free", "fit"), [(10_000, 50), (250, 10), (130, 1), (115, 1)])
@@ -147,19 +158,19 @@ def test_settings_of_absurd_size_are_refused_by_name_before_anything_compiles(
     monkeypatch.setattr(memory, "free_bytes", lambda: 2 * 2**30)
     groups = build_groups("smoke", {name: [int(value)], "engine": ["native"]})
     with pytest.raises(SettingError, match=f"^{name}: "):
-        runner.plan_jobs(groups)
+        runner.plan_jobs(groups, jax.devices())
 
 
 def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     (group,) = build_groups("smoke", {"seed": list(range(5)), "kappa": [4.0], "engine": ["native"]})
     monkeypatch.setattr(runner, "runs_that_fit", lambda *_: 2)
-    jobs, (note,) = runner.plan_jobs([group])
+    jobs, (note,) = runner.plan_jobs([group], jax.devices())
     assert [len(job.group.runs) for job in jobs] == [2, 2, 1]
     assert note.startswith("reach: 5 runs, 2 at a time, take ")
     assert len({id(job.programs) for job in jobs}) == 1
     # A plan that a directory has recorded stays, whatever the memory is today.
     monkeypatch.setattr(runner, "runs_that_fit", lambda *_: 5)
-    again, _ = runner.plan_jobs([job.group for job in jobs], planned=True)
+    again, _ = runner.plan_jobs([job.group for job in jobs], jax.devices(), planned=True)
     assert [job.group for job in again] == [job.group for job in jobs]
     assert len({id(job.programs) for job in again}) == 1
 
@@ -171,7 +182,7 @@ def test_physics_that_xla_compiles_are_said_not_to_be_counted(
     monkeypatch.setattr(own_environment, "FEW_OPERATIONS", few)
     name = f"{ROOT}/tests/examples/point_mass.py:PointMass"
     groups = build_groups("smoke", {"env": [name], "kappa": [4.0]})
-    (_, (note,)) = runner.plan_jobs(groups)
+    (_, (note,)) = runner.plan_jobs(groups, jax.devices())
     assert note.endswith("of memory" + (NOT_COUNTED if large else ""))
     assert NOT_COUNTED.endswith("is not counted")
 

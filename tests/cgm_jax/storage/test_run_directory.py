@@ -55,14 +55,14 @@ def test_what_has_changed_since_a_sweep_was_begun_is_named(
         "python": "2.7",
         "commit": "0123\x1b[31m",  # could colour a terminal
         "flags": "--xla_fast",
-        "machine": "another",
+        "machine": "another, 2 cores",
         "variables": {"JAX_THEN": "1"},
     }
     config = {**config, **then, "versions": {**config["versions"], "jax": "0.0.1"}}
     now = json.loads((tmp_path / CONFIG).read_text())
     (tmp_path / CONFIG).write_text(json.dumps(config))
     for name in os.environ:
-        if name.startswith("JAX_"):
+        if name.startswith(("JAX_", "PJRT_")):
             monkeypatch.delenv(name)
     monkeypatch.setenv("JAX_NOW", "x")
     changes = directory.changes_since_begun("8 x gpu", groups, {})
@@ -74,10 +74,21 @@ def test_what_has_changed_since_a_sweep_was_begun_is_named(
         f"commit 0123?[31m (now {now['commit'] or 'none'})",
         "device 1 x cpu (now 8 x gpu)",
         f"XLA_FLAGS --xla_fast (now {now['flags'] or 'none'})",
-        f"another (now {now['machine']})",
+        f"another, 2 cores (now {now['machine']})",
     ]
     directory.record_resumption(changes, {})
     assert json.loads((tmp_path / CONFIG).read_text())["resumed"][0]["changed"] == changes
+
+
+def test_another_number_of_cores_changes_nothing(tmp_path: Path) -> None:
+    groups = build_groups("smoke", {})
+    with RunDirectory.claimed(tmp_path, fresh=True) as directory:
+        directory.write_config(groups, "smoke", "cpu")
+    config = json.loads((tmp_path / CONFIG).read_text())
+    system = config["machine"].rpartition(", ")[0]
+    config["machine"] = f"{system}, 3 of 4096 cores"
+    (tmp_path / CONFIG).write_text(json.dumps(config))
+    assert directory.changes_since_begun("cpu", groups, {}) == []
 
 
 def own_sweep(tmp_path: Path) -> tuple[Path, RunDirectory]:

@@ -1,0 +1,118 @@
+"""The axis of runs, spread over the devices of this process.
+
+Runs are independent, so each device takes its share of them and never waits for another. Where
+they do not divide, rows are left over at the end of the axis; nobody trains or reads them.
+
+A GPU trains its runs side by side, under `jax.vmap`. A CPU trains them one after another: the
+program of a run is then the same, instruction by instruction, however many runs there are on
+however many devices, and so are its bits. Under vmap XLA fuses and vectorises differently for
+every number of runs.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+RUNS = "runs"
+"""The mesh's one axis."""
+
+SPREAD, ON_EACH = PartitionSpec(RUNS), PartitionSpec()
+
+Tree = TypeVar("Tree")
+Device = Any
+"""A `jax.Device`, which type checkers take for no type."""
+
+
+class Share(NamedTuple):
+    """How runs are shared out.
+
+    Attributes:
+        devices: how many take part.
+        runs: of each of them, rows left over included.
+    """
+
+    devices: int
+    runs: int
+
+
+def share(runs: int, devices: int) -> Share:
+    """Share runs out, the largest share as small as can be, then on as few devices as can be."""
+    each = -(-runs // max(1, min(runs, devices)))
+    return Share(-(-runs // each), each)
+
+
+class Team(NamedTuple):
+    """Devices that share the axis of runs.
+
+    Attributes:
+        mesh: all of them, in one axis, `RUNS`.
+        size: how many of them, the first ones, are given runs.
+    """
+
+    mesh: Mesh
+    size: int
+
+    @property
+    def on_cpu(self) -> bool:
+        """Whether the devices are parts of a CPU."""
+        return self.mesh.devices.flat[0].platform == "cpu"
+
+    def each(self, runs: int) -> int:
+        """Rows of each device for so many runs."""
+        return -(-runs // self.size)
+
+
+def team_of(devices: Sequence[Device]) -> Team:
+    """Devices that share the axis of runs.
+
+    A CPU's one device gets an idle one beside it, if there is another. XLA simplifies programs of
+    one device in another order than those of several, so that bits would differ.
+    """
+    meshed = list(devices)
+    if len(meshed) == 1 and meshed[0].platform == "cpu":
+        meshed += [other for other in jax.devices("cpu") if other != meshed[0]][:1]
+    return Team(Mesh(np.array(meshed), (RUNS,)), len(devices))
+
+
+def spread(team: Team, tree: Tree) -> Tree:
+    """What has a leading axis of runs, with rows filled up and on the team's devices."""
+    return jax.tree.map(lambda leaf: _spread(team, leaf), tree)
+
+
+def _spread(team: Team, leaf: Any) -> jax.Array:
+    leaf = leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf)
+    missing = team.each(len(leaf)) * team.mesh.size - len(leaf)
+    if missing:
+        leaf = jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)])
+    return jax.device_put(leaf, NamedSharding(team.mesh, SPREAD))
+
+
+def on_each(team: Team, function: Callable[..., Any], *specs: PartitionSpec) -> Callable[..., Any]:
+    """Have each device of a team call a function.
+
+    Args:
+        team: whose devices.
+        function: to arrays whose leading axis is the device's rows.
+        specs: of each argument, `SPREAD` (the device's rows) or `ON_EACH` (all of it).
+    """
+    # No run depends on another one, so there is nothing to check that a device does with others.
+    return jax.shard_map(
+        function, mesh=team.mesh, in_specs=specs, out_specs=SPREAD, check_vma=False
+    )
+
+
+def own_rows(team: Team, tree: Tree) -> tuple[Tree, jax.Array]:
+    """Inside `on_each`: a device's rows of what has a leading axis of all runs.
+
+    Returns:
+        The rows, those left over as in the last run; and how many are not left over.
+    """
+    runs = len(jax.tree.leaves(tree)[0])
+    each = team.each(runs)
+    first = jax.lax.axis_index(RUNS) * each
+    rows = jnp.minimum(first + jnp.arange(each), runs - 1)
+    return jax.tree.map(lambda leaf: leaf[rows], tree), jnp.clip(runs - first, 0, each)

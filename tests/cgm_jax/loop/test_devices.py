@@ -1,0 +1,51 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from cgm_jax.loop.devices import Share, share, spread, team_of
+from tests.cgm_jax.sweeps import ROOT
+
+
+@pytest.mark.parametrize(
+    ("runs", "devices", "expected"),
+    [
+        (8, 2, Share(2, 4)),
+        (3, 2, Share(2, 2)),  # and one row left over
+        (3, 8, Share(3, 1)),  # no device without a run
+        (9, 8, Share(5, 2)),  # as long as on eight devices, and one row left over in place of seven
+        (1, 4, Share(1, 1)),
+        (5, 1, Share(1, 5)),
+    ],
+)
+def test_runs_are_shared_out(runs: int, devices: int, expected: Share) -> None:
+    assert share(runs, devices) == expected
+
+
+def test_what_is_spread_keeps_its_bits() -> None:
+    key = jax.random.split(jax.random.key(0), 3)
+    numbers, keys = spread(team_of(jax.devices()[:1]), (np.arange(3.0), key))
+    np.testing.assert_array_equal(numbers, [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(jax.random.key_data(keys), jax.random.key_data(key))
+
+
+def on_devices(directory: Path, *arguments: str) -> list[list[str]]:
+    """Digests of runs, for each argument; see `tests.cgm_jax.loop.on_devices`."""
+    words = [sys.executable, "-m", "tests.cgm_jax.loop.on_devices", str(directory), *arguments]
+    result = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True)
+    return json.loads(result.stdout)
+
+
+@pytest.mark.slow
+def test_a_run_has_the_same_bits_among_any_number_of_runs_and_devices(tmp_path: Path) -> None:
+    # Alone; in turn; on as many devices; with rows left over; and resumed on others.
+    cases = ("1:1", "5:1", "5:2", "5:3", "5:4", "5:3:2", "5:1:4")
+    (alone,), *others = on_devices(tmp_path, *cases)
+    assert len(set(others[0])) == 5
+    assert others[0][0] == alone
+    for case, digests in zip(cases[1:], others, strict=True):
+        assert digests == others[0], case
