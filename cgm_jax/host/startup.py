@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.machine.allotment import available_cores
 
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
@@ -18,6 +19,9 @@ def prepare_jax() -> None:
     """Compile fast, keep compiled programs between processes, and take the cores given.
 
     Variables and flags that the user has set are left alone.
+
+    Raises:
+        SettingError: JAX_PLATFORMS names a device that JAX does not find.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
@@ -28,6 +32,27 @@ def prepare_jax() -> None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    _check_platform()
+
+
+def _check_platform() -> None:
+    """Start the device that JAX_PLATFORMS names, unless that is the CPU, which is there.
+
+    A CPU is left for later, since the engine `mjx` sets a flag before it starts.
+
+    Raises:
+        SettingError: there is no such device, or JAX lacks the package for it.
+    """
+    asked = os.environ.get("JAX_PLATFORMS", "")
+    if asked in ("", "cpu"):
+        return
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):  # JAX asserts where the package is installed
+        raise SettingError(
+            f"JAX_PLATFORMS: JAX finds no device for {asked!r}; install the extra for it "
+            "(cuda, and NVIDIA's driver), or unset the variable"
+        ) from None
 
 
 def _cache_directory() -> Path | None:
