@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows faults lint bench transfer lock clean
+.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows faults lint bench gpu transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -154,6 +154,10 @@ lint: setup
 
 bench: setup
 	$(RUN) -m cgm_jax.benchmark $(ARGS)
+
+# What is to be known about a GPU, resumed where it was stopped; REHEARSE=1: in small, on a CPU.
+gpu: setup
+	$(RUN) -m experiments.gpu.measure $(if $(REHEARSE),--rehearse) $(ARGS)
 
 # Trained policies in Gymnasium-Robotics, whose MuJoCo is older and so has an environment of its own.
 transfer: setup $(VENV)-transfer/.installed
