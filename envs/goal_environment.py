@@ -1,5 +1,7 @@
 """What an environment must offer to be trained on, and what more it may offer."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import jax
@@ -126,4 +128,36 @@ class RenderableEnvironment(GoalEnvironment, Protocol):
         On the host and outside of any traced function: arrays of the state are numpy's. A video
         shows 25 frames, one per step, in a second.
         """
+        ...
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A sub-goal on the way to an environment's goal, such as to touch what is to be moved.
+
+    Both functions are of what is observed, so that replay need not hold anything more.
+
+    Attributes:
+        achieved: from an observation [o] to what of the sub-goal is achieved, [m].
+        desired: from an observation [o] and a desired goal [n] to what should be, [m].
+        size: entries of the sub-goal, m.
+        distance_threshold: the sub-goal is achieved closer than this.
+    """
+
+    achieved: Callable[[jax.Array], jax.Array]
+    desired: Callable[[jax.Array, jax.Array], jax.Array]
+    size: int
+    distance_threshold: float
+
+
+class StagedEnvironment(GoalEnvironment, Protocol):
+    """An environment that says what comes before its goal.
+
+    Optional: `--relabelling relay` needs it, and it is recognised by this attribute. A stage that
+    need not hold any more once a later one does says so by desiring what is achieved.
+    """
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Sub-goals, in the order in which they are to be achieved."""
         ...

@@ -12,6 +12,12 @@ import jax.numpy as jnp
 SECONDS_PER_CONTROL_STEP = 0.04
 """Control runs at 25 Hz. Velocities are observed per control step (m/s x 0.04 s)."""
 
+GRIP_POSITION = slice(0, 3)
+"""Entries of an observation."""
+
+OBJECT_POSITION = slice(3, 6)
+"""Entries of an observation with an object."""
+
 Reading = Callable[[str], jax.Array]
 """Looks a sensor up by its name in the MJCF."""
 

@@ -14,6 +14,9 @@ class Task:
             action says.
         pose_lag: age in seconds of the gripper position that an action displaces. In
             pick-and-place Gymnasium-Robotics reads it one 2 ms substep late.
+        approach: how far behind the object, seen from the goal, the grip is before it moves the
+            object, metres; 0 for at the object itself.
+        approach_within: the grip is there closer than this, metres.
         air_probability: default chance that a goal lies above the table, where the object can be
             lifted. 1 for the paper's pick-and-place, whose DDPG+HER baseline never succeeds;
             Gymnasium-Robotics has 0.5.
@@ -24,11 +27,20 @@ class Task:
     fingers_blocked: bool
     air_probability: float
     pose_lag: float = 0.0
+    approach: float = 0.0
+    approach_within: float = 0.05
 
 
 TASKS = {
     "reach": Task("reach.xml", has_object=False, fingers_blocked=True, air_probability=0.0),
-    "push": Task("push.xml", has_object=True, fingers_blocked=True, air_probability=0.0),
+    "push": Task(
+        "push.xml",
+        has_object=True,
+        fingers_blocked=True,
+        air_probability=0.0,
+        approach=0.06,
+        approach_within=0.04,
+    ),
     "pick_and_place": Task(
         "pick_and_place.xml",
         has_object=True,

@@ -58,10 +58,9 @@ def screens() -> str:
 
 
 def answered(question: str) -> bool:
-    """Whether there is a record of a sweep that is trained for this question first."""
+    """Whether there is a record of a sweep that is trained for this question alone."""
     questions = read_plans().questions
-    before = list(questions)[: list(questions).index(question)]
-    others = {sweep for name in before for sweep in questions[name].sweeps}
+    others = {sweep for name in questions if name != question for sweep in questions[name].sweeps}
     own = (sweep for sweep in questions[question].sweeps if sweep not in others)
     return any(recorded_runs(sweep) for sweep in own)
 

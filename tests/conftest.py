@@ -5,6 +5,7 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
 
 # Tests compile many small programs and run them briefly.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
@@ -28,8 +29,16 @@ sys.modules["typechecking"] = typechecking
 install_import_hook(CHECKED, "typechecking.check")
 
 import jax  # noqa: E402
+import pytest  # noqa: E402
 
 # Programs of this process are not worth keeping; those of processes that tests start are.
 jax.config.update("jax_enable_compilation_cache", False)
 
 import cgm_jax.envs.quiet_import  # noqa: E402, F401 -- ahead of Brax, whose imports it silences
+
+
+@pytest.fixture
+def strict() -> Iterator[None]:
+    """No type is promoted to another unless the code says so."""
+    with jax.numpy_dtype_promotion("strict"):
+        yield

@@ -1,4 +1,4 @@
-"""Every command and program of README.md, by an interpreter that has the package installed.
+"""Every command and program of README.md and docs/, by an interpreter that has the package.
 
 `python -m tests.readme_commands PYTHON` runs them, in order and with the smallest settings, in a
 folder that has an `envs` and an `assets` of its own: `make test-wheel` does, from a wheel alone.
@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXT = "\n".join(page.read_text() for page in PAGES)
 PLACEHOLDER = re.compile(r"\b(DIR|COMMIT|FILE|NAME)\b")
 LEFT_OUT = (
     *("cgm_jax.benchmark", "--on slurm", "--on ray", "stable_baselines3", "pandas", "npz"),
@@ -29,18 +30,19 @@ is large."""
 
 def commands() -> list[list[str]]:
     """Commands of the package, as words, with the smallest settings in place of theirs."""
-    lines = re.findall(r"^ {4}(python -m cgm_jax\..*)$", README, re.MULTILINE)
+    lines = re.findall(r"^ {4}(python -m cgm_jax\..*)$", TEXT, re.MULTILINE)
     return [
         _smallest(shlex.split(line, comments=True)[1:])
-        for line in lines
+        for line in dict.fromkeys(lines)  # a page may repeat what another says
         if not PLACEHOLDER.search(line) and not any(word in line for word in LEFT_OUT)
     ]
 
 
 def programs() -> list[str]:
     """Python programs that stand on their own."""
-    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    return [block for block in blocks if not any(word in block for word in LEFT_OUT)]
+    blocks = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    left_out = (*LEFT_OUT, "--8<--")  # what a page takes from a file is tested there
+    return [block for block in blocks if not any(word in block for word in left_out)]
 
 
 def _smallest(words: list[str]) -> list[str]:

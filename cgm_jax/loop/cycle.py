@@ -30,7 +30,11 @@ def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Trainin
     if goals.start is not None:
         first = jax.vmap(env.restart)(goals.start)  # pyright: ignore[reportAttributeAccessIssue]
     shape = (env.episode_length, settings.environments, env.action_size)
-    exploration = draw_exploration(noise_key, shape, hyper)
+    uniform = None
+    if hyper.relabelling.needs_stages:
+        noise_key, stage_key = jax.random.split(noise_key)
+        uniform = jax.random.uniform(stage_key, shape[:-1])
+    exploration = draw_exploration(noise_key, shape, hyper).replace(uniform=uniform)
     if hyper.agent.explores:
         exploration = exploration.replace(key=jax.random.split(act_key, env.episode_length))
     rollout = roll_out(
@@ -65,8 +69,11 @@ def training_policy(
 
     def policy(observation: jax.Array, goal: jax.Array, noise: Exploration | None) -> jax.Array:
         assert noise is not None
+        subgoal = None
+        if noise.uniform is not None:
+            subgoal = hyper.relabelling.pursued(setup.stages, observation, goal, noise.uniform)
         inputs = network_inputs(
-            setup, hyper, state.normaliser, observation, goal, goals.mask, goals.threshold
+            setup, hyper, state.normaliser, observation, goal, goals.mask, goals.threshold, subgoal
         )
         action = hyper.agent.act(state.agent, inputs, noise.key)
         return explore(noise, action, perturb=not hyper.agent.explores)

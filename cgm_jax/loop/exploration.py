@@ -22,12 +22,15 @@ class Exploration(struct.PyTreeNode):
         random_action: what replaces an action, uniform in [-1, 1], [..., action_size].
         replaced: whether it does, [..., 1] bool.
         key: to explore with, for an agent that does so by itself; a key per step [T], or None.
+        uniform: in [0, 1), to choose between a stage and the goal, [...]; None where there are no
+            stages to pursue.
     """
 
     perturbation: jax.Array
     random_action: jax.Array
     replaced: jax.Array
     key: jax.Array | None = None
+    uniform: jax.Array | None = None
 
 
 def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparameters) -> Exploration:

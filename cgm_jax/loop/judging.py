@@ -75,7 +75,12 @@ def rewards(env: GoalEnvironment, drawn: Transitions) -> jax.Array:
     if own_reward is not None:
         return _mapped(own_reward, drawn.next_achieved, drawn.next_goal)
     success = _mapped(env.goal_success, drawn.next_achieved, drawn.next_goal)  # pyright: ignore
-    return jnp.where(success, 0.0, -1.0)
+    own = jnp.where(success, 0.0, -1.0)
+    if drawn.subgoal is None:
+        return own
+    # A stage has no rule but its threshold.
+    flags = drawn.subgoal[..., : len(env.stages)]  # pyright: ignore[reportAttributeAccessIssue]
+    return jnp.where(flags.any(axis=-1), drawn.reward, own)
 
 
 def reward_range(env: GoalEnvironment) -> tuple[float, float]:

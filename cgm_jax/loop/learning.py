@@ -24,19 +24,19 @@ def minibatches(
     """
     updates, batch_size = setup.settings.updates_per_cycle, setup.settings.batch_size
     drawn = hyper.relabelling.sample(
-        key, state.replay, updates * batch_size, setup.env.distance_threshold
+        key, state.replay, updates * batch_size, setup.env.distance_threshold, setup.stages
     )
 
-    def see(observation: jax.Array, goal: jax.Array) -> jax.Array:
+    def see(observation: jax.Array, goal: jax.Array, subgoal: jax.Array | None) -> jax.Array:
         return network_inputs(
-            setup, hyper, state.normaliser, observation, goal, drawn.mask, drawn.threshold
+            setup, hyper, state.normaliser, observation, goal, drawn.mask, drawn.threshold, subgoal
         )
 
     prepared = Minibatch(
-        inputs=see(drawn.observation, drawn.goal),
+        inputs=see(drawn.observation, drawn.goal, drawn.subgoal),
         action=drawn.action,
         reward=rewards(setup.env, drawn),
-        next_inputs=see(drawn.next_observation, drawn.next_goal),
+        next_inputs=see(drawn.next_observation, drawn.next_goal, drawn.next_subgoal),
         continues=drawn.continues,
         reward_range=reward_range(setup.env),
     )

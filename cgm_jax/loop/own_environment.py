@@ -7,6 +7,7 @@ of the observation, and in pipeline_state; of those shapes must last.
 """
 
 import operator
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any
 
@@ -18,7 +19,7 @@ from jax.extend.core import Jaxpr, jaxprs_in_params
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.user_code import user_code
-from cgm_jax.envs import GoalEnvironment
+from cgm_jax.envs import GoalEnvironment, Stage
 
 PROTOCOL = ("reset", "step", "action_size", "episode_length", "distance_threshold")
 ENTRIES = ("observation", "achieved_goal", "desired_goal")
@@ -26,6 +27,7 @@ OUTPUTS = ("reward", "done", "metrics")
 WARNINGS = "physics_warnings"
 
 MAX_ACTION_SIZE = 10_000
+MAX_STAGE_SIZE = 10_000
 MAX_EPISODE_LENGTH = 1_000_000
 THRESHOLDS = (1e-15, 1e15)
 """Squares of distances must be numbers of float32."""
@@ -46,8 +48,8 @@ class OwnState(struct.PyTreeNode):
     warnings: jax.Array
 
     @property
-    def obs(self) -> dict[str, jax.Array]:
-        """Observation, achieved and desired goal."""
+    def obs(self) -> dict[str, Any]:
+        """Observation, achieved and desired goal: arrays, or their shapes."""
         return {name: self.state.obs[name] for name in ENTRIES}
 
     @property
@@ -61,6 +63,7 @@ class OwnEnvironment:
 
     Attributes:
         action_size, episode_length, distance_threshold: see `GoalEnvironment`.
+        stages: see `StagedEnvironment`; empty where there are none.
         remarks: lines about what is allowed but hardly meant.
         is_large: whether compiling it is a matter of minutes and of much memory.
     """
@@ -74,6 +77,7 @@ class OwnEnvironment:
         self.is_large = False
         if hasattr(env, "restart"):  # optional in the protocol
             self.restart = self._restart
+        self.stages = _stages(env, name)
         if hasattr(env, "render_frame"):
             self.render_frame = self._render_frame
         self._name = name
@@ -170,6 +174,18 @@ def _whole_number(env: Any, name: str, attribute: str, most: int) -> int:
     return number
 
 
+def _stages(env: Any, name: str) -> tuple[Stage, ...]:
+    with user_code("env", f"stages of {name}"):
+        stages = tuple(getattr(env, "stages", ()))
+    for stage in stages:
+        if not isinstance(stage, Stage):
+            kind = type(stage).__name__
+            raise SettingError(f"env: stages of {name} hold {kind}, not an envs.Stage")
+        _whole_number(stage, f"a stage of {name}", "size", MAX_STAGE_SIZE)
+        _distance_threshold(stage, f"a stage of {name}")
+    return stages
+
+
 def _distance_threshold(env: Any, name: str) -> float:
     with user_code("env", f"distance_threshold of {name}"):
         value = env.distance_threshold
@@ -221,7 +237,7 @@ def _reward_range(env: Any, name: str) -> tuple[float, float]:
 
 def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
     """Trace the environment's own rules, without running them."""
-    goal = jax.ShapeDtypeStruct(first.obs["desired_goal"].shape, np.float32)
+    goal = jax.ShapeDtypeStruct(first.state.obs["desired_goal"].shape, np.float32)
     tolerance = getattr(own, "_tolerance", None)
     if tolerance is not None and tolerance.shape != goal.shape:
         raise SettingError(
@@ -247,6 +263,7 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
     with user_code("env", f"reset of {name}"):
         first = jax.eval_shape(env.reset, key)
     _check_entries(first, f"reset of {name}")
+    _check_stages(own.stages, first.obs, name)
     action = jax.ShapeDtypeStruct((own.action_size,), np.float32)
     first = jax.eval_shape(own.reset, key)
     with user_code("env", f"step of {name}"):
@@ -264,6 +281,29 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
         actions = jax.ShapeDtypeStruct((2, 3, own.action_size), np.float32)
         many = jax.eval_shape(jax.vmap(jax.vmap(own.reset)), keys)
         jax.eval_shape(jax.vmap(jax.vmap(own.step)), many, actions)
+
+
+def _check_stages(stages: Sequence[Stage], obs: dict[str, Any], name: str) -> None:
+    """Check shapes of what stages achieve and desire.
+
+    Raises:
+        SettingError: they are not what the stage says.
+    """
+    for number, stage in enumerate(stages, start=1):
+        with user_code("env", f"stage {number} of {name}"):
+            results = {
+                "achieved": jax.eval_shape(stage.achieved, obs["observation"]),
+                "desired": jax.eval_shape(stage.desired, obs["observation"], obs["desired_goal"]),
+            }
+        for function, result in results.items():
+            is_array = isinstance(result, jax.ShapeDtypeStruct)
+            shown = _described(result) if is_array else type(result).__name__
+            is_real = is_array and jnp.issubdtype(result.dtype, jnp.floating)
+            if not is_real or result.shape != (stage.size,):
+                raise SettingError(
+                    f"env: {function} of stage {number} of {name} returns {shown}, "
+                    f"not float32[{stage.size}]"
+                )
 
 
 def _check_entries(state: Any, function: str) -> None:

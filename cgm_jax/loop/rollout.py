@@ -5,7 +5,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import State
 from flax import struct
 from jaxtyping import Array, Bool
 
@@ -15,6 +14,9 @@ from cgm_jax.envs.goals import apply_mask
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.judging import may_end, subgoals_succeed, succeeds
 from cgm_jax.replay.ring import Episodes
+
+State = Any
+"""Brax's, or what an environment has in its place, with `obs` and `metrics` alike."""
 
 Policy = Callable[[jax.Array, jax.Array, Exploration | None], jax.Array]
 """From observations [E, o], masked goals [E, n] and this step's noise to actions [E, a]."""

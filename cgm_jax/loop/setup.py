@@ -9,7 +9,7 @@ from cgm_jax.config.fields import SettingError, check_concrete
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import MAX_TABULATED
-from cgm_jax.envs import GoalEnvironment
+from cgm_jax.envs import GoalEnvironment, Stage
 from cgm_jax.loop.judging import has_own_rules, may_end
 from cgm_jax.loop.normaliser import init_normaliser
 from cgm_jax.loop.state import TrainingState, init_statistics
@@ -37,6 +37,11 @@ class Setup(NamedTuple):
         return self.like.obs["desired_goal"].shape[-1]
 
     @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Sub-goals on the way to the environment's goal; empty where it declares none."""
+        return tuple(getattr(self.env, "stages", ()))
+
+    @property
     def masks(self) -> int:
         """How many masks metrics tell apart: 2^n, or 0 where that is too many."""
         return 2**self.goal_size if self.goal_size <= MAX_TABULATED else 0
@@ -59,6 +64,7 @@ def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
     settings, env = setup.settings, setup.env
     observation, goal = setup.like.obs["observation"].shape[-1], setup.goal_size
     shown = goal * settings.mask_input + hyper.curriculum.shows_threshold
+    shown += hyper.relabelling.shows(setup.stages)
     return Sizes(
         observation=observation,
         goal=goal,
@@ -87,6 +93,11 @@ def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
         name = type(hyper.curriculum).__module__.rpartition(".")[2]
         least = hyper.curriculum.needs_critics
         raise SettingError(f"critics: {known.critics}, but curriculum {name} needs {least} or more")
+    if hyper.relabelling.needs_stages and not setup.stages:
+        name = type(hyper.relabelling).__module__.rpartition(".")[2]
+        raise SettingError(f"relabelling: {name} needs stages, and {settings.env} declares none")
+    if hyper.relabelling.needs_stages and hasattr(setup.env, "goal_reward"):
+        raise SettingError("relabelling: stages have rewards of -1 or 0, and env has its own")
     if hyper.curriculum.shows_threshold and has_own_rules(setup.env):
         name = type(hyper.curriculum).__module__.rpartition(".")[2]
         raise SettingError(

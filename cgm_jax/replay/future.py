@@ -11,6 +11,9 @@ find its block, they are nearly all there is. With masks on, hindsight goals kee
 mask, as GS-HER does (2026, arXiv 2606.09476).
 """
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -20,9 +23,27 @@ from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Relabelling, Transitions
 from cgm_jax.replay.ring import Replay, size
 
+if TYPE_CHECKING:  # importing environments takes long, and starts JAX
+    from cgm_jax.envs import Stage
+
 MIN_MOTION = 0.05
 """An episode moved its achieved goal if it strayed farther than this share of the distance
 threshold from where it began."""
+
+
+class Drawn(NamedTuple):
+    """Places in the ring, [count] each.
+
+    Attributes:
+        episode, step: of the transition.
+        future: a later step of its episode, whose achieved goal is the hindsight goal.
+        relabelled: whether the transition gets that goal, bool.
+    """
+
+    episode: jax.Array
+    step: jax.Array
+    future: jax.Array
+    relabelled: jax.Array
 
 
 @settings
@@ -35,21 +56,38 @@ class Future(Relabelling):
     her_masks: bool = traced(False, "hindsight goals keep their episode's mask")
 
     def sample(
-        self, key: jax.Array, replay: Replay, count: int, distance_threshold: float
+        self,
+        key: jax.Array,
+        replay: Replay,
+        count: int,
+        distance_threshold: float,
+        stages: "Sequence[Stage]" = (),
     ) -> Transitions:
         """Draw transitions uniformly from the ring, and relabel each with probability k / (k + 1).
 
         With the filter, those to relabel come uniformly from the episodes that moved the achieved
         goal, while there is one.
         """
+        del stages
+        uniform = jax.random.uniform(key, (4, count))
+        return self.transitions(replay, self.draw(replay, uniform, distance_threshold))
+
+    def draw(
+        self,
+        replay: Replay,
+        uniform: Float[Array, "4 count"],
+        distance_threshold: float,
+        anywhere: Bool[Array, " count"] | bool = False,
+    ) -> Drawn:
+        """Turn numbers uniform in [0, 1) into places; the filter is not for rows `anywhere`."""
         episodes = replay.episodes
         episode_length = episodes.action.shape[1]
-        for_episode, for_step, for_future, for_relabel = jax.random.uniform(key, (4, count))
+        for_episode, for_step, for_future, for_relabel = uniform
         relabel = for_relabel < jnp.where(self.her, self.her_k / (self.her_k + 1.0), 0.0)
         moved = moved_goal(episodes.achieved_goal, distance_threshold)
         eligible = moved & (jnp.arange(len(moved)) < size(replay)) & self.her_filter
         episode = jnp.where(
-            relabel & eligible.any(),
+            relabel & eligible.any() & jnp.logical_not(anywhere),
             _drawn_among(eligible, for_episode),
             integer_below(jnp.maximum(size(replay), 1), for_episode),
         )
@@ -57,7 +95,13 @@ class Future(Relabelling):
         steps = episode_length if ends is None else jnp.minimum(ends, episode_length)
         step = integer_below(steps, for_step)
         future = step + 1 + integer_below(steps - step, for_future)
+        return Drawn(episode, step, future, relabel)
 
+    def transitions(self, replay: Replay, drawn: Drawn) -> Transitions:
+        """The transitions at these places, with hindsight goals where they are relabelled."""
+        episodes = replay.episodes
+        episode, step, future, relabel = drawn
+        ends = None if episodes.length is None else episodes.length[episode]
         hindsight_goal = episodes.achieved_goal[episode, future]
         goal = jnp.where(relabel[:, None], hindsight_goal, episodes.desired_goal[episode])
         whole = (relabel & ~jnp.asarray(self.her_masks))[:, None]
@@ -104,4 +148,5 @@ def integer_below(bound: int | jax.Array, uniform: Float[Array, "*shape"]) -> In
     Far cheaper to compile than `jax.random.randint`. JAX's float32 draws have 23 bits, which makes
     probabilities uneven by at most bound / 2^23. Rounding must not reach the bound.
     """
-    return jnp.minimum(jnp.floor(uniform * bound).astype(jnp.int32), bound - 1)
+    scaled = uniform * jnp.asarray(bound, uniform.dtype)
+    return jnp.minimum(jnp.floor(scaled).astype(jnp.int32), bound - 1)

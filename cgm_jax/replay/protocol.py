@@ -4,12 +4,17 @@ It is a class of settings (see `config/fields.py`) with one pure function of one
 vmaps over runs, the settings included.
 """
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 
 from cgm_jax.replay.ring import Replay
+
+if TYPE_CHECKING:  # importing environments takes long, and starts JAX
+    from cgm_jax.envs import Stage
 
 
 class Transitions(struct.PyTreeNode):
@@ -26,6 +31,8 @@ class Transitions(struct.PyTreeNode):
         next_achieved: the goal achieved in the next state, [..., n].
         continues: 0 where the next state is terminal, else 1; [...]. None where the environment
             ends no episodes (`Episodes.length`).
+        subgoal, next_subgoal: of a stage that replaces the goal, [..., `Relabelling.shows`]; None
+            for a way to relabel that shows none.
     """
 
     observation: jax.Array
@@ -38,14 +45,27 @@ class Transitions(struct.PyTreeNode):
     next_goal: jax.Array
     next_achieved: jax.Array | None = None
     continues: jax.Array | None = None
+    subgoal: jax.Array | None = None
+    next_subgoal: jax.Array | None = None
 
 
 @runtime_checkable
 class Relabelling(Protocol):
-    """A way to draw transitions and to choose their goals."""
+    """A way to draw transitions and to choose their goals.
+
+    Attributes:
+        needs_stages: whether the environment must have stages, or is refused.
+    """
+
+    needs_stages: ClassVar[bool] = False
 
     def sample(
-        self, key: jax.Array, replay: Replay, count: int, distance_threshold: float
+        self,
+        key: jax.Array,
+        replay: Replay,
+        count: int,
+        distance_threshold: float,
+        stages: "Sequence[Stage]" = (),
     ) -> Transitions:
         """Draw transitions.
 
@@ -54,8 +74,32 @@ class Relabelling(Protocol):
             replay: holds at least one episode.
             count: how many.
             distance_threshold: of the environment.
+            stages: of the environment, see `envs.StagedEnvironment`.
         """
         ...
+
+    def shows(self, stages: "Sequence[Stage]") -> int:
+        """How many entries of a sub-goal the networks see besides the environment's goal.
+
+        The first of them are one per stage, 1 for the stage that is pursued; all are 0 where it is
+        the environment's own goal.
+        """
+        del stages
+        return 0
+
+    def pursued(
+        self, stages: "Sequence[Stage]", observation: jax.Array, goal: jax.Array, uniform: jax.Array
+    ) -> jax.Array:
+        """The sub-goal that exploration pursues now, [E, `shows`]; asked where it `needs_stages`.
+
+        Args:
+            stages: of the environment.
+            observation: of E episodes, [E, o].
+            goal: the environment's own, masked, [E, n].
+            uniform: numbers in [0, 1) to decide by, [E].
+        """
+        del goal, uniform
+        return jnp.zeros((observation.shape[0], self.shows(stages)))
 
     def idle(self) -> frozenset[str]:
         """Names of settings that have no effect, given the others; for concrete values only."""

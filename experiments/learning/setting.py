@@ -48,6 +48,7 @@ class Setting(NamedTuple):
             is not at its default.
         c_g: success rate aimed at; None where nothing is aimed at.
         kappa: sharpness; None likewise.
+        stages: how stages before the goal are pursued and replayed; empty where they are not.
     """
 
     env: str
@@ -61,6 +62,7 @@ class Setting(NamedTuple):
     masks: str
     c_g: float | None = None
     kappa: float | None = None
+    stages: str = ""
 
     @property
     def task(self) -> str:
@@ -77,6 +79,7 @@ class Setting(NamedTuple):
             "from all episodes": self.her and not self.her_filter,
             "masked hindsight": self.her_masks,
             "mask as input": self.mask_input,
+            self.stages: bool(self.stages),
         }
         told = ", ".join(detail for detail, holds in details.items() if holds)
         name = f"{self.agent.upper()} + HER" if self.her else self.agent.upper()
@@ -96,7 +99,7 @@ class Setting(NamedTuple):
 
     def differs_in_learning_alone(self, other: "Setting") -> bool:
         """Whether nothing but the agent and what its networks see tells two settings apart."""
-        apart = {"agent": "", "her_masks": False, "mask_input": False}
+        apart = {"agent": "", "her_masks": False, "mask_input": False, "stages": ""}
         return self != other and self._replace(**apart) == other._replace(**apart)
 
 
@@ -115,7 +118,14 @@ def setting_of(settings: Mapping[str, Any]) -> Setting:
         _masks(settings),
         settings.get("c_g"),
         settings.get("kappa"),
+        _stages(settings) if settings["relabelling"] == "relay" else "",
     )
+
+
+def _stages(settings: Mapping[str, Any]) -> str:
+    """By which chance stages are pursued before the goal, and which share of hindsight they get."""
+    chance, share = percent(settings["relay_chance"]), percent(settings["relay_share"])
+    return f"stages by {chance}, {share} of hindsight" if settings["her"] else f"stages by {chance}"
 
 
 def _masks(settings: Mapping[str, Any]) -> str:

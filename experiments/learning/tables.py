@@ -75,9 +75,13 @@ def learning_speed(runs: Runs) -> list[Row]:
     stopped early.
     """
     table = []
-    for setting, seeds in runs_by_setting(runs).items():
+    by_setting = runs_by_setting(runs)
+    # Stages have a column in tables of runs of which some have them.
+    without = set() if any(setting.stages for setting in by_setting) else {"stages"}
+    for setting, seeds in by_setting.items():
         same = list(seeds.values())
-        entry: Row = {**setting._asdict(), "seeds": " ".join(map(str, seeds))}
+        told = {name: value for name, value in setting._asdict().items() if name not in without}
+        entry: Row = {**told, "seeds": " ".join(map(str, seeds))}
         for level in LEVELS:
             arrivals = _arrivals(same, level)
             if not all(is_settled(run, level) for run in same):

@@ -36,7 +36,7 @@ def record_successes(
     """
     length = history.successes.shape[0]
     filled = jnp.arange(length) >= length - history.count
-    successes = jnp.where(valid[:, None], successes, 0).astype(history.successes.dtype)
+    successes = jnp.where(valid[:, None], successes.astype(history.successes.dtype), 0.0)
     rows = jnp.concatenate([history.successes, successes])
     counts = jnp.concatenate([filled, valid])
     newest_last = jnp.argsort(counts, stable=True)[-length:]
@@ -51,7 +51,8 @@ def success_rates(history: SuccessHistory, default: ArrayLike) -> Float[Array, "
     length = history.successes.shape[0]
     filled = jnp.arange(length) >= length - history.count
     total = jnp.sum(jnp.where(filled[:, None], history.successes, 0.0), axis=0)
-    return jnp.where(history.count > 0, total / jnp.maximum(history.count, 1), default)
+    count = jnp.maximum(history.count, 1).astype(total.dtype)
+    return jnp.where(history.count > 0, total / count, default)
 
 
 def subgoal_rates(history: SuccessHistory, c_g: ArrayLike) -> Float[Array, " n"]:

@@ -60,6 +60,6 @@ def record(recent: Recent, rows: Any, valid: Bool[Array, " k"]) -> Recent:
 
 def mean_of(recent: Recent, values: Shaped[Array, " N"]) -> Float[Array, ""]:
     """Mean of values [N] over the filled slots; NaN while there is none."""
-    total = jnp.sum(jnp.where(recent.filled, values, 0.0))
+    total = jnp.sum(jnp.where(recent.filled, values.astype(jnp.float32), 0.0))
     count = recent.filled.sum()
-    return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan)
+    return jnp.where(count > 0, total / jnp.maximum(count, 1).astype(total.dtype), jnp.nan)

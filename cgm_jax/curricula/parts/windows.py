@@ -66,7 +66,7 @@ def progress(windows: Windows) -> Float[Array, " things"]:
     older = (age < 2 * half[:, None]) & ~newer
     gained = jnp.sum(jnp.where(newer, windows.successes, 0.0), axis=1)
     had = jnp.sum(jnp.where(older, windows.successes, 0.0), axis=1)
-    return (gained - had) / jnp.maximum(half, 1)
+    return (gained - had) / jnp.maximum(half, 1).astype(gained.dtype)
 
 
 def window_rates(windows: Windows, default: ArrayLike) -> Float[Array, " things"]:
@@ -74,7 +74,7 @@ def window_rates(windows: Windows, default: ArrayLike) -> Float[Array, " things"
     filled = _filled(windows)
     seen = _ages(windows) < filled[:, None]
     total = jnp.sum(jnp.where(seen, windows.successes, 0.0), axis=1)
-    return jnp.where(filled > 0, total / jnp.maximum(filled, 1), default)
+    return jnp.where(filled > 0, total / jnp.maximum(filled, 1).astype(total.dtype), default)
 
 
 def _filled(windows: Windows) -> jax.Array:

@@ -160,9 +160,9 @@ def test_bad_values_are_refused_by_name(options: dict[str, list[Any]], message: 
 def test_the_gpu_preset_is_the_cpu_preset_with_many_environments(
     env: str, updates: int, environment_steps: int
 ) -> None:
-    (gpu,), (cpu,) = (
-        build_groups(preset, {"env": [env]}, single=True) for preset in ("gpu", "cpu")
-    )
+    (gpu,) = build_groups("gpu", {"env": [env]}, single=True)
+    without_stages = {"relabelling": ["future"], "curriculum": ["cgm"]}
+    (cpu,) = build_groups("cpu", {"env": [env], **without_stages}, single=True)
     settings = gpu.settings
     assert settings.environments * 50 * settings.cycles_per_epoch * settings.epochs == (
         environment_steps

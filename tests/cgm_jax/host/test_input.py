@@ -100,7 +100,7 @@ def test_100_generated_configurations(seed: int) -> None:
             assert_sound(groups)
         else:
             assert complaint.partition(":")[0] in names, grid
-    assert 5 < valid < 80  # both happen
+    assert 0 < valid < 80  # both happen
 
 
 @pytest.fixture

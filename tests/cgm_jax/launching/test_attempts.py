@@ -162,8 +162,7 @@ def test_a_child_ends_when_its_attempt_is_killed(made: Callable[..., Launch]) ->
     with subprocess.Popen([sys.executable, "-m", "cgm_jax.launching.attempts", order]) as process:
         wait_for(launch.out(1) / "checkpoints")
         process.kill()
-    wait_for(launch.out(1) / "terminations")
-    assert (launch.out(1) / "terminations").read_text() == "1"
+    wait_for(launch.out(1) / "terminations")  # Linux signals once for each thread of the parent
 
 
 def wait_for(path: Path) -> None:

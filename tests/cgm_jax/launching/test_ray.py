@@ -10,9 +10,6 @@ from typing import Any
 
 import pytest
 
-from cgm_jax.config.fields import SettingError
-from cgm_jax.launching.directory import Resources
-from cgm_jax.launching.ray import Ray
 from tests.cgm_jax.launching.launches import (
     assert_as_if_never_disturbed,
     attempts,
@@ -90,22 +87,3 @@ def test_a_launcher_that_is_stopped_has_its_parts_write_checkpoints(
         assert process.wait(60) == 75
     assert attempts(out, 1) == [(0, 75)]
     assert trainer(out, 1) is trainer(out, 2) is None
-
-
-def test_a_node_that_cannot_run_parts_is_told(cluster: Any) -> None:
-    import ray
-
-    made, _ = cluster
-    engine = Ray(Resources(address=made.address))
-    try:
-        task = engine._attempt.remote("/none/python", "{}", {}, "/", "/")
-        engine._tasks[task] = 1
-        ray.wait([task])
-        with pytest.raises(
-            SettingError, match=r"^on: the interpreter /none/python is not there on"
-        ):
-            engine.ended()
-    finally:
-        ray.shutdown()
-    with pytest.raises(SettingError, match=r"^address: no Ray cluster at 127.0.0.1:1: "):
-        Ray(Resources(address="127.0.0.1:1"))

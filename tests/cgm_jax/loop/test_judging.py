@@ -16,7 +16,7 @@ from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.own_environment import checked
 from cgm_jax.loop.rollout import Rollout, drawn_goals, reset, roll_out
-from cgm_jax.loop.setup import initial_state, make_setup
+from cgm_jax.loop.setup import init_state, make_setup
 from cgm_jax.loop.training import make_trainer
 from cgm_jax.replay.ring import insert
 from tests.cgm_jax.agents.oracle import SIZES, action_value, example_batch, in_numpy
@@ -110,7 +110,7 @@ def test_agents_learn_from_the_environments_rewards_and_not_beyond_its_ends(
     env: Any, played: Rollout
 ) -> None:
     setup, hyper = make_setup(env, TINY), tiny(her_k=2.0)
-    state = initial_state(setup, hyper)
+    state = init_state(setup, hyper)
     outcomes = played.outcomes
     state = state.replace(replay=insert(state.replay, played.episodes, outcomes.valid))
     key = jax.random.key(7)
@@ -165,7 +165,7 @@ def test_targets_do_not_look_beyond_an_end_and_are_clipped_to_the_rewards_own_re
 def test_curricula_that_vary_the_threshold_are_refused(env: Any) -> None:
     setup = make_setup(env, TINY)
     with pytest.raises(SettingError, match=r"^curriculum: accuracy varies the"):
-        initial_state(setup, tiny(curriculum="accuracy"))
+        init_state(setup, tiny(curriculum="accuracy"))
 
 
 class NoRange(Ruled):

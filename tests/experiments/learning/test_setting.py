@@ -40,6 +40,10 @@ def test_hindsight_from_all_episodes_is_another_algorithm_unless_there_is_none()
         ({"her_masks": True}, "DDPG + HER (masked hindsight)"),
         ({"mask_input": True}, "DDPG + HER (mask as input)"),
         (
+            {"relabelling": "relay", "relay_chance": 0.5, "relay_share": 0.15},
+            "DDPG + HER (stages by 50 %, 15 % of hindsight)",
+        ),
+        (
             {"mask_input": True, "her_masks": True, "her_filter": False},
             "DDPG + HER (from all episodes, masked hindsight, mask as input)",
         ),

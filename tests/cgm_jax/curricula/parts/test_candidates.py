@@ -1,9 +1,12 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from cgm_jax.curricula.parts.candidates import achieved_goals, draw_eligible, nearest_success
 from tests.cgm_jax.curricula.line import view
+
+pytestmark = pytest.mark.usefixtures("strict")
 
 
 def test_success_is_the_mean_over_the_nearest_that_were_practised() -> None:

@@ -5,6 +5,8 @@ import pytest
 from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
 from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
 
+pytestmark = pytest.mark.usefixtures("strict")
+
 
 @pytest.mark.parametrize("c_g", [0.0, 0.1, 0.8, 1.0])
 @pytest.mark.parametrize("n", [1, 3, 12])

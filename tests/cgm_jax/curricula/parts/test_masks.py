@@ -13,6 +13,8 @@ from cgm_jax.curricula.parts.masks import (
     sample_masks,
 )
 
+pytestmark = pytest.mark.usefixtures("strict")
+
 CORNERS = list(itertools.product([0.0, 0.1, 0.5, 1.0], [0.0, 1.0, 32.0, 1000.0]))
 """Pairs of c_g and kappa."""
 

@@ -3,8 +3,11 @@ from collections import deque
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from cgm_jax.curricula.parts.recent import init_recent, mean_of, record
+
+pytestmark = pytest.mark.usefixtures("strict")
 
 
 def test_a_ring_holds_the_last_valid_rows_as_a_deque_does() -> None:

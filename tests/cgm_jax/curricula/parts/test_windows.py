@@ -5,6 +5,8 @@ import pytest
 
 from cgm_jax.curricula.parts.windows import init_windows, progress, record_episodes, window_rates
 
+pytestmark = pytest.mark.usefixtures("strict")
+
 record = jax.jit(record_episodes)
 
 

@@ -1,0 +1,74 @@
+"""The site: what pages point to is there. `make test-docs` also builds it and runs the notebook."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+NOTEBOOK = ROOT / "docs" / "first_run.ipynb"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_and_snippets_lead_somewhere(page: Path) -> None:
+    text = page.read_text()
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", text):
+        places = {"results": ROOT / "experiments", "api": ROOT / "cgm_jax"}
+        folder = places.get(target.split("/")[0].removesuffix(".md"), ROOT / "docs")
+        path = folder / (
+            target.removeprefix("api/").removesuffix(".md") if "api/" in target else target
+        )
+        if target != "results.md":  # made of experiments/README.md
+            assert path.exists(), target
+    for target in re.findall(r'^--8<-- "([^"]+)"', text, re.MULTILINE):
+        name, _, section = target.partition(":")
+        source = (ROOT / name).read_text()
+        assert (
+            not section
+            or source.count(f"[start:{section}]") == source.count(f"[end:{section}]") == 1
+        )
+
+
+def test_every_page_is_in_the_menu() -> None:
+    menu = (ROOT / "mkdocs.yml").read_text()
+    made = {"results.md", "api.md"}
+    assert set(re.findall(r"^  - .*: ([\w/]+\.md)$", menu, re.MULTILINE)) - made == {
+        page.name for page in PAGES
+    }
+
+
+def test_the_site_builds_strictly(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="make test-docs has it")
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    result = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "p(m) ~ (1 - |c_m - c_g|)^kappa" in (tmp_path / "method.html").read_text()
+    assert "normalised_limit" in (tmp_path / "index.html").read_text()  # the README's lines
+    assert (tmp_path / "results" / "page.png").is_file()
+    for room in (path.parent.name for path in (ROOT / "cgm_jax").glob("*/__init__.py")):
+        assert f"cgm_jax.{room}" in (tmp_path / "api" / f"{room}.html").read_text()
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    nbclient = pytest.importorskip("nbclient", reason="make test-docs has it")
+    nbformat = pytest.importorskip("nbformat", reason="make test-docs has it")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    (parameters,) = [cell for cell in notebook.cells if "tags" in cell.metadata]
+    parameters.source = "REACH_EPOCHS = 1\nSWEEP_EPOCHS = 2"
+    nbclient.NotebookClient(
+        notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
+    rows = (tmp_path / "runs/reach/metrics.jsonl").read_text().splitlines()
+    assert [json.loads(row)["epoch"] for row in rows] == [1]
+    assert (tmp_path / "runs/c_g/figures/learning_curves.png").is_file()
+    shown = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert any("image/png" in output.get("data", {}) for output in shown)
+
+
+def test_the_notebook_is_committed_without_outputs() -> None:
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    assert all(not cell.get("outputs") for cell in cells)
