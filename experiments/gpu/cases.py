@@ -52,8 +52,14 @@ def rate(engine: str, case: str, rehearse: bool) -> Figures:
 
 def updates(case: str, rehearse: bool) -> Figures:
     """Updates against the matrix-product rate."""
-    found = measure_updates(1 if rehearse else 5)
-    return [figure(one.name.strip(), one.value, one.unit) for one in found]
+    rows, above = [], ""
+    for one in measure_updates(1 if rehearse else 5):
+        if one.name.startswith(" "):  # it belongs to the one above
+            rows.append(figure(f"{above}: {one.name.strip()}", one.value, one.unit))
+        else:
+            above = one.name.partition(" / ")[0]
+            rows.append(figure(one.name, one.value, one.unit))
+    return rows
 
 
 def start(case: str, rehearse: bool) -> Figures:

@@ -129,8 +129,15 @@ def run_within(words: Sequence[str], limit: float) -> tuple[int, str, str] | Non
     Then, or if this process is interrupted, it and all that it started are ended: by SIGTERM, so
     that training writes its checkpoint, and 20 s later by SIGKILL.
     """
+    # Some cases have processes of their own on the same GPU, which JAX would keep for itself.
+    sharing = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false", **os.environ}
     with subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=sharing,
+        start_new_session=True,
     ) as process:
         try:
             output, errors = process.communicate(timeout=limit)
