@@ -196,6 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("faults.csv"))
     options = parser.parse_args(arguments)
     options.out.parent.mkdir(parents=True, exist_ok=True)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # below nohup children would ignore it, too
     names = [item.name for item in fields(Step)] + ["outcome"]
     failed = 0
     with (
