@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx pretrained test-lowest test-newest test-wheel lint-workflows docs test-docs faults lint bench transfer lock clean
+.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows docs test-docs faults lint bench gpu transfer lock clean
 
 setup: $(VENV)/.installed
 
@@ -16,6 +16,12 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 	$(RUN) -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	$(RUN) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
+
+# For an NVIDIA GPU: JAX's CUDA 12 and Warp beside the rest, in versions that go with it.
+setup-cuda: setup
+	$(RUN) -m pip install --quiet --disable-pip-version-check --constraint requirements.lock \
+	    'jax[cuda12]' 'mujoco-mjx[warp]'
+	$(RUN) -m cgm_jax.benchmark --part device
 
 sweep: setup
 	$(RUN) -m cgm_jax.sweep --preset quick $(ARGS)
@@ -47,6 +53,16 @@ $(VENV)-onnx/.installed: requirements.lock tests/onnx-requirements.txt
 	$(PYTHON) -m venv $(VENV)-onnx
 	$(VENV)-onnx/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --requirement requirements.lock --requirement tests/onnx-requirements.txt
+	touch $@
+
+# The engine warp on a CPU. Its kernels take two minutes to compile at first.
+test-warp: $(VENV)-warp/.installed
+	JAX_PLATFORMS=cpu $(VENV)-warp/bin/python -m pytest tests/envs/test_warp.py $(ARGS)
+
+$(VENV)-warp/.installed: requirements.lock tests/warp-requirements.txt
+	$(PYTHON) -m venv $(VENV)-warp
+	$(VENV)-warp/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --requirement requirements.lock --requirement tests/warp-requirements.txt
 	touch $@
 
 # The policies that come with the package: trains, chooses and measures them anew.
@@ -154,6 +170,10 @@ lint: setup
 
 bench: setup
 	$(RUN) -m cgm_jax.benchmark $(ARGS)
+
+# What is to be known about a GPU, resumed where it was stopped; REHEARSE=1: in small, on a CPU.
+gpu: setup
+	$(RUN) -m experiments.gpu.measure $(if $(REHEARSE),--rehearse) $(ARGS)
 
 # Trained policies in Gymnasium-Robotics, whose MuJoCo is older and so has an environment of its own.
 transfer: setup $(VENV)-transfer/.installed

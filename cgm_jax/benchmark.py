@@ -32,8 +32,9 @@ Text = Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")
 class BenchmarkOptions:
     """Measure rollouts, updates, sweeps and the start, as ratios."""
 
-    part: Literal["all", "first-step"] = "all"
-    """first-step: only start, take one training step, and exit."""
+    part: Literal["all", "first-step", "device"] = "all"
+    """first-step: only start, take one training step, and exit. device: only print the device, the
+    engine that is the default there, and its rate."""
 
     repeats: int = 5
     """Measurements per figure; the median counts. With --against: pairs of processes."""
@@ -81,6 +82,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.part == "first-step":
         prepare_jax()
         first_step()
+        return ExitCode.DONE
+    if options.part == "device":
+        prepare_jax()
+        from cgm_jax.measuring.engines import device_line
+
+        print(device_line(options.repeats))
         return ExitCode.DONE
     table = Table("measured", "value", "target", title=f"{os.cpu_count()} cores")
     for figure in _measure(options.repeats):

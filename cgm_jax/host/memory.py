@@ -99,7 +99,7 @@ def estimate_memory(trainer: Trainer, hyper: Hyperparameters) -> MemoryEstimate:
     evaluation = episodes * (EVALUATION_COPIES * episode + step)
     agent, batches = tree_bytes(state.agent), tree_bytes(drawn)
     layers = int(LAYER_COPIES * 4 * settings.batch_size * sum(hidden))
-    on_cpu = jax.default_backend() == "cpu"
+    on_cpu = setup.platform == "cpu"  # which updates one run after the other
     return MemoryEstimate(
         fixed=PROCESS_BYTES if on_cpu else 0,
         state=tree_bytes(state),

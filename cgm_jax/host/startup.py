@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jax
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.host.devices import POOL_THREADS, POOL_VARIABLE
 from cgm_jax.machine.allotment import share_cores
 
@@ -28,6 +29,9 @@ def prepare_jax(cpu_devices: int = 1) -> None:
     Args:
         cpu_devices: how many devices of a CPU are to share the runs. JAX makes two if it is one:
             see `cgm_jax.loop.devices.team_of`. Has no effect on a GPU.
+
+    Raises:
+        SettingError: JAX_PLATFORMS names a device that JAX does not find.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if OPTIMISATION_LEVEL not in flags:
@@ -41,6 +45,27 @@ def prepare_jax(cpu_devices: int = 1) -> None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    _check_platform()
+
+
+def _check_platform() -> None:
+    """Start the device that JAX_PLATFORMS names, unless that is the CPU, which is there.
+
+    A CPU is left for later, since the engine `mjx` sets a flag before it starts.
+
+    Raises:
+        SettingError: there is no such device, or JAX lacks the package for it.
+    """
+    asked = os.environ.get("JAX_PLATFORMS", "")
+    if asked in ("", "cpu"):
+        return
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):  # JAX asserts where the package is installed
+        raise SettingError(
+            f"JAX_PLATFORMS: JAX finds no device for {asked!r}; install the extra for it "
+            "(cuda, and NVIDIA's driver), or unset the variable"
+        ) from None
 
 
 def _cache_directory() -> Path | None:

@@ -52,7 +52,9 @@ def learn(
 ) -> TrainingState:
     """The updates of a cycle; an agent that diverges stays as it was before them."""
     batches = minibatches(setup, state, hyper, draw_key)
-    agent, info = _vmap_for_platform(_train)(hyper.agent, state.agent, batches, agent_key)
+    agent, info = _vmap_for_platform(setup.platform, _train)(
+        hyper.agent, state.agent, batches, agent_key
+    )
     failure, agent = freeze_if_failed(state.failure, state.agent, agent)
     losses = {name: total + info[name].sum() for name, total in state.statistics.losses.items()}
     logged = next((values.size for values in info.values()), 0)
@@ -70,10 +72,10 @@ def _train(agent: Any, state: Any, batches: Minibatch, key: jax.Array) -> Any:
     return agent.train(state, batches, key)
 
 
-def _vmap_for_platform(function: Callable[..., Any]) -> Callable[..., Any]:
+def _vmap_for_platform(platform: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """On a CPU, let vmap run a function for one run after the other.
 
     One matrix product keeps all cores busy, and XLA's batched one costs 15 % more than its
     parts. A GPU needs the batch.
     """
-    return sequential_vmap(function) if jax.default_backend() == "cpu" else function
+    return sequential_vmap(function) if platform == "cpu" else function

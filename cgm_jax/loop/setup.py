@@ -23,11 +23,13 @@ class Setup(NamedTuple):
         env: what to train on.
         settings: `settings.env` and `settings.engine` are not read.
         like: shapes of a state of the environment.
+        platform: what the programs are for, as JAX names it: "cpu", "gpu", "tpu".
     """
 
     env: GoalEnvironment
     settings: Settings
     like: Any
+    platform: str
 
     @property
     def goal_size(self) -> int:
@@ -45,9 +47,16 @@ class Setup(NamedTuple):
         return 2**self.goal_size if self.goal_size <= MAX_TABULATED else 0
 
 
-def make_setup(env: GoalEnvironment, settings: Settings) -> Setup:
-    """Look at an environment without running it."""
-    return Setup(env, settings, jax.eval_shape(env.reset, jax.random.key(0)))
+def make_setup(env: GoalEnvironment, settings: Settings, platform: str | None = None) -> Setup:
+    """Look at an environment without running it.
+
+    Args:
+        env: what to train on.
+        settings: of the loop.
+        platform: what the programs are for; None for the one that JAX computes on.
+    """
+    like = jax.eval_shape(env.reset, jax.random.key(0))
+    return Setup(env, settings, like, platform or jax.default_backend())
 
 
 def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:

@@ -51,13 +51,16 @@ class Trainer(NamedTuple):
     epoch: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
 
 
-def make_trainer(env: GoalEnvironment, settings: Settings) -> Trainer:
+def make_trainer(env: GoalEnvironment, settings: Settings, platform: str | None = None) -> Trainer:
     """The functions that train on an environment; nothing is run or compiled yet.
+
+    Nothing of them asks what the process runs on: a machine without a GPU can lower what one with
+    a GPU would, if it names the `platform` ("gpu"). None: what JAX computes on.
 
     Whether a run's curriculum and agent go with them, `init` says; `jax.eval_shape` of it does so
     without running it.
     """
-    setup = make_setup(env, settings)
+    setup = make_setup(env, settings, platform)
     return Trainer(
         setup=setup,
         init=partial(init_state, setup),

@@ -4,6 +4,7 @@ Against what the machine can do:
 
     start.py        from the command to the first training cycle
     rollouts.py     environment steps through the scan against raw MuJoCo
+    engines.py      environment steps of any engine on any device
     updates.py      network updates against a matrix product
     sweeps.py       runs side by side against runs alone
     workload.py     the runs that are measured; figures.py a figure and its target

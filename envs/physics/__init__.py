@@ -2,7 +2,8 @@
 
 protocol.py  what an engine offers: start, advance, positions, a copy for MuJoCo
 native.py    C MuJoCo, all runs and environments in one Batch call per control step (CPU)
-mjx.py       MJX, as JAX (GPU, TPU, and the check of the others) or as Warp (NVIDIA GPU)
+mjx.py       MJX, MuJoCo as a JAX program (GPU, TPU, and the check of the others)
+warp.py      MuJoCo Warp (NVIDIA GPU)
 weld.py      the term of welds that MJX lacks
 choose.py    "auto" and the engines' names
 deferred.py  an engine that starts at its first use

@@ -59,6 +59,10 @@ def start_engine(name: str, scene: Scene) -> Physics:
 
         return NativePhysics(scene)
 
+    if name == "warp":
+        from cgm_jax.envs.physics.warp import WarpPhysics
+
+        return WarpPhysics(scene)
     from cgm_jax.envs.physics.mjx import MjxPhysics
 
-    return MjxPhysics(scene, implementation="warp" if name == "warp" else "jax")
+    return MjxPhysics(scene)

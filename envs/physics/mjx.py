@@ -1,4 +1,4 @@
-"""MJX: MuJoCo as a JAX program (GPU, TPU, CPU), or through Warp on an NVIDIA GPU."""
+"""MJX: MuJoCo as a JAX program (GPU, TPU, CPU)."""
 
 # mujoco's compiled modules come without stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -35,24 +35,31 @@ class Motion(struct.PyTreeNode):
     velocities: jax.Array
     acceleration_guess: jax.Array
 
+    def copy_to_mujoco(self, data: mujoco.MjData) -> None:
+        """Put one concrete motion into MuJoCo's own data."""
+        data.qpos[:] = np.asarray(self.positions)
+        data.qvel[:] = np.asarray(self.velocities)
+        data.qacc_warmstart[:] = np.asarray(self.acceleration_guess)
+
+
+def out_of_range(positions: jax.Array, velocities: jax.Array) -> jax.Array:
+    """Whether a motion is beyond the limit at which C MuJoCo warns; NaN is, too."""
+    within = [(jnp.abs(x) < mujoco.mjMAXVAL).all() for x in (positions, velocities)]
+    return ~jnp.stack(within).all()
+
 
 class MjxPhysics:
-    """The `mjx` and `warp` engines. See `envs.physics.protocol.Physics`."""
+    """The `mjx` engine. See `envs.physics.protocol.Physics`."""
 
-    def __init__(self, scene: Scene, implementation: str = "jax") -> None:
-        """Put the scene's model on the device.
-
-        Args:
-            scene: what to simulate.
-            implementation: "jax", or "warp" where warp-lang is installed.
-        """
+    def __init__(self, scene: Scene) -> None:
+        """Put the scene's model on the device."""
         flags = os.environ.get("XLA_FLAGS", "")
         if CPU_FLAG.partition("=")[0] not in flags:
             os.environ["XLA_FLAGS"] = f"{flags} {CPU_FLAG}".strip()
         self._blocked = jnp.asarray(scene.blocked_addresses, jnp.int32)
         self._substeps = scene.substeps
-        self._model = mjx.put_model(scene.model, impl=implementation)
-        self._template = mjx.make_data(scene.model, impl=implementation)
+        self._model = mjx.put_model(scene.model, impl="jax")
+        self._template = mjx.make_data(scene.model, impl="jax")
         self._weld_term = WeldTerm(scene.model)
 
     def start(self, positions: jax.Array) -> PhysicsState:
@@ -84,14 +91,10 @@ class MjxPhysics:
     def copy_to_mujoco(self, state: PhysicsState, data: mujoco.MjData) -> None:
         """Put one concrete state into MuJoCo's own data: positions and velocities."""
         motion: Motion = state.engine_state
-        data.qpos[:] = np.asarray(motion.positions)
-        data.qvel[:] = np.asarray(motion.velocities)
-        data.qacc_warmstart[:] = np.asarray(motion.acceleration_guess)
+        motion.copy_to_mujoco(data)
 
     def _step(self, data: mjx.Data) -> mjx.Data:
         """One substep: `mjx.step`, without sensors and with the weld's missing term."""
-        if self._model.impl == mjx.Impl.WARP:
-            return mjx.step(self._model, data)
         data = mjx.fwd_velocity(self._model, mjx.fwd_position(self._model, data))
         data = self._weld_term.add(data)
         for stage in (mjx.fwd_actuation, mjx.fwd_acceleration, mjx.solve, mjx.euler):
@@ -100,15 +103,10 @@ class MjxPhysics:
 
     def _observe(self, data: mjx.Data) -> PhysicsState:
         """Bring the sensors up to the state: a step leaves them one substep behind."""
-        if self._model.impl == mjx.Impl.WARP:
-            data = mjx.forward(self._model, data)
-        else:
-            for stage in SENSOR_STAGES:
-                data = stage(self._model, data)
-        # The limit at which C MuJoCo warns; NaN is not below it either.
-        within = [(jnp.abs(x) < mujoco.mjMAXVAL).all() for x in (data.qpos, data.qvel)]
+        for stage in SENSOR_STAGES:
+            data = stage(self._model, data)
         return PhysicsState(
             engine_state=Motion(data.qpos, data.qvel, data.qacc_warmstart),
             sensors=data.sensordata,
-            warnings=jnp.where(jnp.stack(within).all(), 0, 1).astype(jnp.int32),
+            warnings=out_of_range(data.qpos, data.qvel).astype(jnp.int32),
         )

@@ -65,6 +65,13 @@ def pick_and_place(observation: np.ndarray, goal: np.ndarray, step: int) -> np.n
     return np.clip(action, -1.0, 1.0)
 
 
+def free_motion(observation: np.ndarray, goal: np.ndarray, step: int) -> np.ndarray:
+    """Up first, so that nothing is touched, and then about at random."""
+    action = np.random.default_rng(step).uniform(-1.0, 1.0, (len(goal), 4))
+    action[:, 2] = 1.0 if step < 6 else action[:, 2] / 2
+    return action
+
+
 def _unit(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions and lengths [E, 1] of vectors [E, n]."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)

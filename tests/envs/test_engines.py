@@ -17,10 +17,10 @@ TASKS = ("push", "pick_and_place")
 
 @pytest.fixture(scope="module")
 def figures() -> dict[str, dict[str, Any]]:
-    """What tests/envs/mjx_checks.py finds out, both tasks side by side."""
+    """What tests/envs/engine_checks.py finds out, both tasks side by side."""
     processes = {
         task: subprocess.Popen(
-            [sys.executable, "-m", "tests.envs.mjx_checks", task],
+            [sys.executable, "-m", "tests.envs.engine_checks", task, "mjx"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -1,3 +1,4 @@
+import dataclasses
 from typing import Any
 
 import pytest
@@ -150,6 +151,33 @@ def test_groups_split_evenly_and_lose_no_run(largest: int, sizes: list[int]) -> 
 def test_bad_values_are_refused_by_name(options: dict[str, list[Any]], message: str) -> None:
     with pytest.raises(SettingError, match=message):
         build_groups("smoke", options)
+
+
+@pytest.mark.parametrize(
+    ("env", "updates", "environment_steps"),
+    [("push", 640, 819_200), ("pick_and_place", 800, 1_536_000)],
+)
+def test_the_gpu_preset_is_the_cpu_preset_with_many_environments(
+    env: str, updates: int, environment_steps: int
+) -> None:
+    (gpu,) = build_groups("gpu", {"env": [env]}, single=True)
+    without_stages = {"relabelling": ["future"], "curriculum": ["cgm"]}
+    (cpu,) = build_groups("cpu", {"env": [env], **without_stages}, single=True)
+    settings = gpu.settings
+    assert settings.environments * 50 * settings.cycles_per_epoch * settings.epochs == (
+        environment_steps
+    )
+    # Eleven cycles' episodes stay in replay.
+    assert settings.replay_transitions // (50 * settings.environments) == 11
+    many = {
+        "environments": 1024,
+        "batch_size": 1024,
+        "updates_per_cycle": updates,
+        "cycles_per_epoch": 1,
+        "epochs": settings.epochs,
+    }
+    assert settings == dataclasses.replace(cpu.settings, **many)
+    assert gpu.runs[0].hyper == cpu.runs[0].hyper
 
 
 def test_presets_name_only_settings_and_their_values_are_valid() -> None:

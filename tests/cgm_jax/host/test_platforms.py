@@ -161,3 +161,14 @@ def test_whatever_imports_brax_is_in_a_room_that_is_quiet() -> None:
             assert str(path.parent.relative_to(root)) in SILENCED, path
     for room in SILENCED:
         assert "quiet_import" in (root / room / "__init__.py").read_text()
+
+
+def test_a_device_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "cgm_jax.train", "--preset", "smoke", "--out", str(out)]
+    environment = {**os.environ, "JAX_PLATFORMS": "cuda", "CUDA_VISIBLE_DEVICES": ""}
+    process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert process.returncode == 2
+    (line,) = process.stderr.splitlines()
+    assert line.startswith("error: JAX_PLATFORMS: JAX finds no device for 'cuda'")
+    assert not out.exists()

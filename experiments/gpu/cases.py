@@ -1,0 +1,180 @@
+"""`python -m experiments.gpu.cases PART CASE OUT [--rehearse]`: one case; its figures as JSON."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from cgm_jax.config.grid import Group, build_groups
+from cgm_jax.envs.physics.choose import choose_engine
+from cgm_jax.host.memory import estimate_memory
+from cgm_jax.host.startup import prepare_jax
+from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.training import make_programs, make_trainer
+from cgm_jax.measuring.engines import engine_rate
+from cgm_jax.measuring.figures import seconds
+from cgm_jax.measuring.start import measure_starts
+from cgm_jax.measuring.updates import measure_updates
+
+Figures = list[dict[str, Any]]
+
+SMALL: dict[str, list[Any]] = {
+    "environments": [4],
+    "updates_per_cycle": [4],
+    "batch_size": [32],
+    "evaluation_episodes": [10],
+    "replay_transitions": [10_000],
+}
+"""What makes a preset a rehearsal."""
+
+
+def figure(name: str, value: float, unit: str = "") -> dict[str, Any]:
+    """A row of gpu.csv, but for what it is about."""
+    return {"figure": name, "value": float(f"{value:.4g}"), "unit": unit}
+
+
+def rate(engine: str, case: str, rehearse: bool) -> Figures:
+    """How fast an engine simulates so many environments."""
+    found = engine_rate(engine, "push", int(case), repeats=3, steps=5 if rehearse else 50)
+    return [
+        figure("first rollout after", found.compiling, "s"),
+        figure("rate", found.rate, "environment steps/s"),
+        figure("physics warnings", found.warnings),
+    ]
+
+
+def updates(case: str, rehearse: bool) -> Figures:
+    """Updates against the matrix-product rate."""
+    rows, above = [], ""
+    for one in measure_updates(1 if rehearse else 5):
+        if one.name.startswith(" "):  # it belongs to the one above
+            rows.append(figure(f"{above}: {one.name.strip()}", one.value, one.unit))
+        else:
+            above = one.name.partition(" / ")[0]
+            rows.append(figure(one.name, one.value, one.unit))
+    return rows
+
+
+def start(case: str, rehearse: bool) -> Figures:
+    """From the command to the end of the first training cycle."""
+    return [figure(one.name, one.value, one.unit) for one in measure_starts()]
+
+
+def runs(case: str, rehearse: bool) -> Figures:
+    """So many runs side by side: time per run and cycle."""
+    group = _group("cpu", "push", rehearse, seed=list(range(int(case))))
+    programs = make_programs(make_trainer(make_environment(group.settings), group.settings))
+    hyper, cycles = group.hyper(), 2 if rehearse else 10
+    states = [programs.start(hyper)]
+
+    def train() -> None:
+        states.append(jax.block_until_ready(programs.train(states.pop(), hyper, cycles)))
+
+    compiling = seconds(train)
+    taken = float(np.median([seconds(train) for _ in range(3)]))
+    return [
+        figure("first cycles after", compiling, "s"),
+        figure("per run and cycle", 1e3 * taken / cycles / int(case), "ms"),
+    ]
+
+
+def memory(case: str, rehearse: bool) -> Figures:
+    """The estimate for preset gpu against what a cycle and an evaluation took."""
+    group = _group("gpu", case, rehearse)
+    trainer = make_trainer(make_environment(group.settings), group.settings)
+    programs, hyper = make_programs(trainer), group.hyper()
+    estimate = estimate_memory(trainer, group.runs[0].hyper).total(1)
+    state = programs.train(programs.start(hyper), hyper, 1)
+    jax.block_until_ready(programs.evaluate(state, hyper))
+    taken = _peak_bytes()
+    return [
+        figure("estimate", estimate / 2**20, "MiB"),
+        figure("taken at most", taken / 2**20, "MiB"),
+        figure("estimate / taken", estimate / taken),
+    ]
+
+
+def parity(case: str, rehearse: bool, out: Path) -> Figures:
+    """The engine that is the default here against C MuJoCo in a process on the CPU."""
+    episodes, engine = 4 if rehearse else 100, choose_engine("auto")
+    files = {name: out / f"parity-{case}-{name}.npz" for name in (engine, "reference")}
+    for name, path in files.items():
+        on_cpu = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""} if name == "reference" else {}
+        subprocess.run(
+            [
+                *(sys.executable, "-m", "experiments.gpu.parity"),
+                *("native" if name == "reference" else engine, case, str(episodes), str(path)),
+            ],
+            env={**os.environ, **on_cpu},
+            check=True,
+        )
+    here, there = (dict(np.load(path)) for path in files.values())
+    strayed = np.linalg.norm(here["grips"] - there["grips"], axis=-1)
+    return [
+        figure(f"{engine}: grip strays in free motion at most", 1e3 * strayed.max(), "mm"),
+        figure(f"{engine}: success of a controller", here["success"].mean()),
+        figure("native: success of it", there["success"].mean()),
+        figure("same outcome", np.mean(here["success"] == there["success"])),
+    ]
+
+
+def learning(case: str, rehearse: bool, out: Path) -> Figures:
+    """Preset gpu to 90 %, which the same command resumes."""
+    directory = out / "learning" / case
+    words = ["--preset", "gpu", "--env", case, "--leave-at", "0.9", "--out", str(directory)]
+    if rehearse:
+        words += ["--epochs", "2"]
+        for name, (value,) in SMALL.items():
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    began = time.monotonic()
+    command = [sys.executable, "-m", "cgm_jax.train", *words]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    lines = (directory / "metrics.jsonl").read_text().splitlines()
+    rows = [json.loads(line) for line in lines]
+    reached = [row["env_steps"] for row in rows if (row["success_rate"] or 0) >= 0.9]
+    return [
+        figure("environment steps to 90 %", reached[0] if reached else np.nan),
+        figure("environment steps trained", rows[-1]["env_steps"]),
+        figure("success in the end", rows[-1]["success_rate"]),
+        figure("of this attempt, from its start", time.monotonic() - began, "s"),
+    ]
+
+
+def _group(preset: str, env: str, rehearse: bool, **grid: list[Any]) -> Group:
+    small = SMALL if rehearse else {}
+    return build_groups(preset, {"env": [env], "curriculum": ["full"], **small, **grid})[0]
+
+
+def _peak_bytes() -> int:
+    """The most that the device has held; on a CPU, that the process has."""
+    statistics = jax.devices()[0].memory_stats()
+    if statistics and "peak_bytes_in_use" in statistics:
+        return statistics["peak_bytes_in_use"]
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 2**10
+
+
+PARTS: dict[str, Callable[[str, bool, Path], Figures]] = {
+    "rate_mjx": lambda case, rehearse, out: rate("mjx", case, rehearse),
+    "rate_warp": lambda case, rehearse, out: rate("warp", case, rehearse),
+    "updates": lambda case, rehearse, out: updates(case, rehearse),
+    "start": lambda case, rehearse, out: start(case, rehearse),
+    "runs": lambda case, rehearse, out: runs(case, rehearse),
+    "memory": lambda case, rehearse, out: memory(case, rehearse),
+    "parity": parity,
+    "learning": learning,
+}
+
+
+if __name__ == "__main__":
+    part, case, out = sys.argv[1:4]
+    prepare_jax()
+    print(json.dumps(PARTS[part](case, "--rehearse" in sys.argv, Path(out))))

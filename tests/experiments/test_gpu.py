@@ -1,0 +1,81 @@
+"""What `make gpu` does around its cases; the cases themselves are `make gpu REHEARSE=1`."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cgm_jax.config.fields import SettingError
+from experiments.gpu import measure
+from experiments.gpu.cases import PARTS
+from experiments.table import read_table
+
+SLOW_PARENT = """
+import subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+print(child.pid, file=open(sys.argv[1], "w"), flush=True)
+time.sleep(60)
+"""
+
+
+def test_every_part_has_cases_in_both_sizes() -> None:
+    assert set(measure.CASES) == set(measure.REHEARSED) == set(PARTS)
+    assert all(measure.CASES.values())
+    assert all(measure.REHEARSED.values())
+
+
+def test_a_case_that_ends_says_how() -> None:
+    talk = "import sys; print(1); print(2, file=sys.stderr); sys.exit(3)"
+    assert measure.run_within([sys.executable, "-c", talk], 60.0) == (3, "1\n", "2\n")
+
+
+def test_a_case_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Path) -> None:
+    noted = tmp_path / "pid"
+    assert measure.run_within([sys.executable, "-c", SLOW_PARENT, str(noted)], 2.0) is None
+    child = int(noted.read_text())
+    for _ in range(100):  # it is init's to bury
+        stat = Path(f"/proc/{child}/stat")
+        if not stat.exists() or ") Z" in stat.read_text():
+            return
+        time.sleep(0.05)
+    os.kill(child, signal.SIGKILL)
+    pytest.fail("the child was left running")
+
+
+def test_without_a_gpu_it_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(measure, "_device", lambda: "cpu x 1")
+    with pytest.raises(SettingError, match="no GPU here"):
+        measure.main(["--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
+
+
+def test_cases_that_are_on_record_are_not_measured_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[tuple[str, str]] = []
+
+    def stand_in(part: str, case: str, *_: object) -> list[dict[str, object]] | str:
+        asked.append((part, case))
+        if asked == [("updates", "all")]:
+            return "broke"
+        return [{"figure": "rate", "value": 2.5, "unit": "steps/s"}]
+
+    monkeypatch.setattr(measure, "_device", lambda: "card x 1")
+    monkeypatch.setattr(measure, "_measure", stand_in)
+    monkeypatch.setattr(measure, "CASES", {"updates": ("all",), "runs": ("1", "8")})
+    options = ["--out", str(tmp_path)]
+    assert measure.main(options) == 1
+    assert asked == [("updates", "all"), ("runs", "1"), ("runs", "8")]
+    assert "missing: updates all: broke" in (tmp_path / "gpu.txt").read_text()
+    assert measure.main(options) == 0
+    assert asked[3:] == [("updates", "all")]
+    rows = read_table(tmp_path / "gpu.csv")
+    assert [(row["device"], row["part"], row["case"]) for row in rows] == [
+        ("card x 1", "runs", "1"),
+        ("card x 1", "runs", "8"),
+        ("card x 1", "updates", "all"),
+    ]
+    assert "missing" not in (tmp_path / "gpu.txt").read_text()
