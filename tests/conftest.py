@@ -42,3 +42,10 @@ def strict() -> Iterator[None]:
     """No type is promoted to another unless the code says so."""
     with jax.numpy_dtype_promotion("strict"):
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten_programs() -> Iterator[None]:
+    """Drop what a file's tests compiled: thousands of programs exhaust a process's memory maps."""
+    yield
+    jax.clear_caches()

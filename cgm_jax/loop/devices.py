@@ -56,11 +56,6 @@ class Team(NamedTuple):
     mesh: Mesh
     size: int
 
-    @property
-    def on_cpu(self) -> bool:
-        """Whether the devices are parts of a CPU."""
-        return self.mesh.devices.flat[0].platform == "cpu"
-
     def each(self, runs: int) -> int:
         """Rows of each device for so many runs."""
         return -(-runs // self.size)

@@ -21,7 +21,6 @@ from cgm_jax.loop.devices import (
     ON_EACH,
     SPREAD,
     Device,
-    Team,
     on_each,
     own_rows,
     spread,
@@ -117,21 +116,21 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
         trainer: of each run.
         devices: that share the runs; by default the first one alone.
     """
-    team = team_of(devices or jax.devices()[:1])
+    team, on_cpu = team_of(devices or jax.devices()[:1]), trainer.setup.platform == "cpu"
 
     def start(hyper: Hyperparameters) -> TrainingState:
         own, count = own_rows(team, hyper)
-        return _over_rows(team, trainer.init, count)(own)
+        return _over_rows(on_cpu, trainer.init, count)(own)
 
     def train(states: TrainingState, hyper: Hyperparameters, cycles: jax.Array) -> TrainingState:
         own, count = own_rows(team, hyper)
         one = partial(_train_for, trainer, cycles)
-        return in_place(one, count)(states, own) if team.on_cpu else jax.vmap(one)(states, own)
+        return in_place(one, count)(states, own) if on_cpu else jax.vmap(one)(states, own)
 
     def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
         own, count = own_rows(team, hyper)
         one = partial(_evaluate_without_replay, trainer)
-        after, metrics = _over_rows(team, one, count)(states, own)
+        after, metrics = _over_rows(on_cpu, one, count)(states, own)
         return after.replace(replay=states.replay), metrics
 
     return Programs(
@@ -143,8 +142,8 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
     )
 
 
-def _over_rows(team: Team, function: Callable[..., Any], count: jax.Array) -> Callable[..., Any]:
-    return in_turn(function, count) if team.on_cpu else jax.vmap(function)
+def _over_rows(on_cpu: bool, function: Callable[..., Any], count: jax.Array) -> Callable[..., Any]:
+    return in_turn(function, count) if on_cpu else jax.vmap(function)
 
 
 def _train_for(

@@ -1,5 +1,6 @@
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,9 +64,7 @@ def test_dropped_and_broken_episodes_leave_no_trace() -> None:
     good = episodes(generator, 4)
     poison = good.replace(observation=good.observation.at[1].set(jnp.nan))
     poison = poison.replace(achieved_goal=poison.achieved_goal.at[2, 3].set(jnp.inf))
-    kept = good.replace(
-        **{name: getattr(good, name)[jnp.array([0, 3])] for name in good.__dataclass_fields__}
-    )
+    kept = jax.tree.map(lambda leaf: leaf[jnp.array([0, 3])], good)
     expected: Any = observe(init_normaliser(2, 1), kept, jnp.ones(2, bool))
     actual: Any = observe(init_normaliser(2, 1), poison, jnp.array([True, False, False, True]))
     np.testing.assert_allclose(actual.observation.mean, expected.observation.mean, rtol=1e-6)

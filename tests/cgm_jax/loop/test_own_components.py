@@ -43,6 +43,9 @@ class Grows(Full):
     def init(self, sizes: Any) -> Any:
         return jnp.zeros(1)
 
+    def sample(self, state: Any, key: Any, drawn: Any, view: Any) -> Any:
+        return drawn
+
     def after_training(self, state: Any, outcomes: Any) -> Any:
         return jnp.concatenate([state, state])
 
