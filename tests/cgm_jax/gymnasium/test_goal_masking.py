@@ -245,16 +245,16 @@ def test_masked_goals_lie_in_the_space_of_both_kinds_of_goal() -> None:
 
 
 def test_gymnasiums_own_checker_has_no_complaint_and_make_builds_it_again() -> None:
-    gymnasium.register("NumpyPointMass-v0", NumpyPointMass)
+    gymnasium.register("WrappedPointMass-v0", NumpyPointMass)
     try:
-        env = GoalMasking(gymnasium.make("NumpyPointMass-v0"), c_g=0.3)
+        env = GoalMasking(gymnasium.make("WrappedPointMass-v0"), c_g=0.3)
         with pytest.warns(UserWarning, match="different from the unwrapped version"):
             check_env(env, skip_render_check=True)  # other warnings are errors here
         again: Any = gymnasium.make(env.spec)
         assert isinstance(again, GoalMasking)
         np.testing.assert_array_equal(again.sampler.subgoal_rates, [0.3**0.5] * 2)
     finally:
-        del gymnasium.registry["NumpyPointMass-v0"]
+        del gymnasium.registry["WrappedPointMass-v0"]
 
 
 def test_the_threshold_is_the_environments_own_unless_one_is_given() -> None:

@@ -58,7 +58,8 @@ def test_every_setting_is_in_the_group_of_all_that_have_it(
     assert where["target_noise"] == "agent td3"
     assert where["hidden_layers"] == "agent ddpg, sac, td3"
     assert where["discount"] == "curriculum mega, agent ddpg, sac, td3"
-    assert where["her"] == "relabelling future"
+    assert where["her"] == "relabelling future, relay"
+    assert where["relay_share"] == "relabelling relay"
 
 
 def test_help_says_which_settings_split_programs(groups: dict[str, dict[str, str]]) -> None:
