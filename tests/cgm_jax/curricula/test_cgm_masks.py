@@ -94,7 +94,9 @@ def test_beyond_a_table_nothing_is_kept_per_mask_and_what_needs_that_is_refused(
         (CGM(masked_evaluation_episodes=1), "masked_evaluation_episodes"),
     ):
         assert curriculum.init(sizes(10)).subgoals.successes.shape == (10, 10)
-        with pytest.raises(SettingError, match=f"^{name}: .* needs a table .* 10 dimensions, not 11"):
+        with pytest.raises(
+            SettingError, match=f"^{name}: .* needs a table .* 10 dimensions, not 11"
+        ):
             curriculum.init(sizes(11))
     with pytest.raises(SettingError, match=r"^mask_levels: goals of 121 dimensions"):
         CGM(mask_levels=True).init(sizes(121))
