@@ -179,7 +179,7 @@ def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
     assert not notes
     assert_same(training.state, done.state)
     hyper = stack(done.runs)
-    copy = done.programs.spread(jax.tree.map(jnp.copy, done.state))
+    copy = jax.tree.map(jnp.copy, done.state)
     resumed = done.programs.spread(training.state)
     assert_same(done.programs.train(resumed, hyper, 1), done.programs.train(copy, hyper, 1))
     assert compilations(done.programs) <= 4  # restored states may lie on devices otherwise
