@@ -141,15 +141,26 @@ class _HashingWriter:
         self._file.flush()
 
 
-def _named_arrays(training: TrainingProgress) -> Iterator[tuple[str, np.ndarray]]:
+def _named_arrays(
+    training: TrainingProgress,
+) -> Iterator[tuple[str, np.ndarray | list[np.ndarray]]]:
     """What a checkpoint holds, one array at a time."""
     yield "position", np.array([training.epoch, training.cycle], np.int64)
     yield "wall_s", np.array(training.wall_s)
     yield "rows", np.frombuffer(to_lines(training.rows).encode(), np.uint8)
     filled = _filled(training.state)
     for name, leaf in named_leaves(training.state):
-        array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)[: training.runs]
-        yield name, array[:, :filled] if name.startswith(RING) else array
+        rows = _rows_of(jax.random.key_data(leaf) if _is_key(leaf) else leaf)[: training.runs]
+        yield name, [row[:filled] for row in rows] if name.startswith(RING) else rows
+
+
+def _rows_of(leaf: jax.Array) -> list[np.ndarray]:
+    """Rows of an array that lies on several devices, where they lie.
+
+    `numpy.asarray` would first put them together, which takes as much memory again.
+    """
+    shards = {shard.index[0].start or 0: shard.data for shard in leaf.addressable_shards}
+    return [row for start in sorted(shards) for row in np.asarray(shards[start])]
 
 
 def _filled(state: TrainingState) -> int:

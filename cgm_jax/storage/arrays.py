@@ -1,9 +1,9 @@
 """Files of named arrays (npz), read as untrusted input."""
 
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 
@@ -11,15 +11,31 @@ Shape = tuple[int, ...]
 SUFFIX = ".npy"
 
 
-def write_arrays(file: BinaryIO, arrays: Iterable[tuple[str, np.ndarray]]) -> None:
+def write_arrays(
+    file: BinaryIO, arrays: Iterable[tuple[str, np.ndarray | Sequence[np.ndarray]]]
+) -> None:
     """Write an npz file, uncompressed, one array after the other.
 
-    Unlike `numpy.savez` it takes an iterator, so that the arrays need not exist all at once.
+    Unlike `numpy.savez` it takes an iterator, so that the arrays need not exist all at once; and an
+    array may be given by its rows, at least one, so that it need not exist in one piece.
     """
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays:
             with archive.open(name + SUFFIX, "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+                if isinstance(array, np.ndarray):
+                    np.lib.format.write_array(member, array, allow_pickle=False)
+                else:
+                    _write_rows(member, array)
+
+
+def _write_rows(file: IO[bytes], rows: Sequence[np.ndarray]) -> None:
+    """What `numpy.stack` of rows would be in a file, without making it."""
+    shape = (len(rows), *rows[0].shape)
+    description = np.lib.format.dtype_to_descr(rows[0].dtype)
+    header = {"descr": description, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, header)
+    for row in rows:
+        file.write(np.ascontiguousarray(row).reshape(-1).view(np.uint8).data)
 
 
 def read_shapes(path: Path) -> dict[str, tuple[Shape, np.dtype[Any]]]:
