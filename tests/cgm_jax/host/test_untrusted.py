@@ -76,6 +76,7 @@ def test_a_module_for_gymnasium_that_a_config_names_is_not_imported(
     reader: str, untrusted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(untrusted / "figures"))
+    monkeypatch.delitem(sys.modules, "x", raising=False)  # another test's
     change_runs(untrusted, env="gymnasium:x:X-v0")
     with pytest.raises(SettingError) as refusal:
         READERS[reader](untrusted)
@@ -90,6 +91,7 @@ def test_another_interpreter_runs_nothing_that_only_a_config_names(
     untrusted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(untrusted / "figures"))
+    monkeypatch.delitem(sys.modules, "x", raising=False)  # another test's
     monkeypatch.setenv("CGM_JAX_GYMNASIUM_PYTHON", sys.executable)
     monkeypatch.setattr(allowed, "remembers", lambda path, data: True)
     change_runs(untrusted, env="gymnasium:x:X-v0")
