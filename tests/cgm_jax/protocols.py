@@ -11,6 +11,21 @@ from cgm_jax.config.components import builtin
 from cgm_jax.config.fields import Field, SettingError, declared
 from cgm_jax.config.grid import hyperparameters
 
+_COMPILED: list[float] = []
+
+
+def _note(event: str, duration_secs: float, **_: object) -> None:
+    if event == "/jax/core/compile/backend_compile_duration":
+        _COMPILED.append(duration_secs)
+
+
+jax.monitoring.register_event_duration_secs_listener(_note)
+
+
+def programs_compiled() -> int:
+    """How many programs XLA has compiled in this process since this file was imported."""
+    return len(_COMPILED)
+
 
 def other_value(item: "Field[Any]") -> Any:
     """A value of a traced setting that is not its default."""

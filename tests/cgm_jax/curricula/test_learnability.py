@@ -40,7 +40,7 @@ def test_masks_are_uniform_where_all_always_or_never_succeed(rates: list[float])
 
 
 def test_goals_beyond_a_table_are_refused() -> None:
-    with pytest.raises(SettingError, match=r"curriculum: needs a table .* not 11"):
+    with pytest.raises(SettingError, match=r"curriculum: learnability needs a table .* not 11"):
         Learnability().init(sizes(11))
 
 

@@ -40,7 +40,7 @@ def test_probabilities_by_hand() -> None:
 
 
 def test_goals_beyond_a_table_are_refused() -> None:
-    with pytest.raises(SettingError, match=r"curriculum: needs a table .* not 11"):
+    with pytest.raises(SettingError, match=r"curriculum: progress needs a table .* not 11"):
         Progress().init(sizes(11))
 
 
