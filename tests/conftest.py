@@ -17,12 +17,12 @@ os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="cgm_jax-tests-")
 atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
 # In the background, or below nohup, a process ignores these, and so would those that tests start.
-for number, action in (
+for _number, _action in (
     (signal.SIGINT, signal.default_int_handler),
     (signal.SIGHUP, signal.SIG_DFL),
 ):
-    if signal.getsignal(number) is signal.SIG_IGN:
-        signal.signal(number, action)
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _action)
 
 from jaxtyping import install_import_hook  # noqa: E402
 

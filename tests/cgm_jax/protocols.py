@@ -1,5 +1,6 @@
 """What the suites over everything discovered have in common."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,6 +11,10 @@ import pytest
 from cgm_jax.config.components import builtin
 from cgm_jax.config.fields import Field, SettingError, declared
 from cgm_jax.config.grid import hyperparameters
+from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
+from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.training import Programs, compilations
 
 _COMPILED: list[float] = []
 
@@ -56,6 +61,31 @@ def assert_same(one: Any, other: Any) -> None:
 
     assert jax.tree.structure(one) == jax.tree.structure(other)
     jax.tree.map(lambda x, y: np.testing.assert_array_equal(words(x), words(y)), one, other)
+
+
+def assert_training_resumes(
+    programs: Programs, hyper: Hyperparameters, state: TrainingState, start: Any, folder: Path
+) -> None:
+    """A state from a checkpoint has the bits of the one that was saved, and trains on with them.
+
+    Args:
+        programs: that have trained it, and have compiled all that they need.
+        hyper: of its runs, stacked.
+        state: after two epochs.
+        start: shapes of a state.
+        folder: for the checkpoint.
+    """
+    save_checkpoint(folder, 0, TrainingProgress(state, epoch=2))
+    training, notes = load_checkpoint(folder, 0, start)
+    assert training is not None
+    assert not notes
+    assert_same(training.state, state)
+    copy, restored = jax.tree.map(jnp.copy, state), programs.spread(training.state)
+    assert compilations(programs) == 3
+    before = programs_compiled()
+    resumed = programs.train(restored, hyper, 1)
+    assert programs_compiled() == before > 0
+    assert_same(resumed, programs.train(copy, hyper, 1))
 
 
 def assert_wrong_settings_are_refused_by_name(kind: str, name: str) -> None:

@@ -15,16 +15,15 @@ from cgm_jax.config.fields import declared, stack
 from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import Stage
-from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, compilations, make_programs, make_trainer
 from cgm_jax.replay.protocol import Transitions
 from cgm_jax.replay.ring import Replay
 from tests.cgm_jax.protocols import (
     assert_same,
+    assert_training_resumes,
     assert_wrong_settings_are_refused_by_name,
     other_values,
-    programs_compiled,
 )
 from tests.examples.point_mass import PointMass
 
@@ -174,19 +173,7 @@ def test_what_it_draws_depends_on_its_key_alone_and_idle_settings_change_nothing
 
 def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
     done = trained(name)
-    save_checkpoint(tmp_path, 0, TrainingProgress(done.state, epoch=2))
-    training, notes = load_checkpoint(tmp_path, 0, done.start)
-    assert training is not None
-    assert not notes
-    assert_same(training.state, done.state)
-    hyper = stack(done.runs)
-    copy = jax.tree.map(jnp.copy, done.state)
-    restored = done.programs.spread(training.state)
-    assert compilations(done.programs) == 3
-    before = programs_compiled()
-    resumed = done.programs.train(restored, hyper, 1)
-    assert programs_compiled() == before > 0
-    assert_same(resumed, done.programs.train(copy, hyper, 1))
+    assert_training_resumes(done.programs, stack(done.runs), done.state, done.start, tmp_path)
 
 
 def test_wrong_settings_are_refused_by_name(name: str) -> None:
