@@ -154,11 +154,13 @@ def _named_arrays(
         yield name, [row[:filled] for row in rows] if name.startswith(RING) else rows
 
 
-def _rows_of(leaf: jax.Array) -> list[np.ndarray]:
-    """Rows of an array that lies on several devices, where they lie.
+def _rows_of(leaf: jax.Array | np.ndarray) -> list[np.ndarray]:
+    """Rows of an array that lies on several devices, where they lie, or on the host.
 
     `numpy.asarray` would first put them together, which takes as much memory again.
     """
+    if isinstance(leaf, np.ndarray):
+        return list(leaf)
     shards = {shard.index[0].start or 0: shard.data for shard in leaf.addressable_shards}
     return [row for start in sorted(shards) for row in np.asarray(shards[start])]
 

@@ -12,20 +12,20 @@ SUFFIX = ".npy"
 
 
 def write_arrays(
-    file: BinaryIO, arrays: Iterable[tuple[str, np.ndarray | Sequence[np.ndarray]]]
+    file: BinaryIO, arrays: Iterable[tuple[str, np.ndarray | list[np.ndarray]]]
 ) -> None:
     """Write an npz file, uncompressed, one array after the other.
 
     Unlike `numpy.savez` it takes an iterator, so that the arrays need not exist all at once; and an
-    array may be given by its rows, at least one, so that it need not exist in one piece.
+    array may be a list of its rows, at least one, so that it need not exist in one piece.
     """
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays:
             with archive.open(name + SUFFIX, "w", force_zip64=True) as member:
-                if isinstance(array, np.ndarray):
-                    np.lib.format.write_array(member, array, allow_pickle=False)
-                else:
+                if isinstance(array, list):
                     _write_rows(member, array)
+                else:
+                    np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
 
 
 def _write_rows(file: IO[bytes], rows: Sequence[np.ndarray]) -> None:
