@@ -44,6 +44,7 @@ import pytest  # noqa: E402
 jax.config.update("jax_enable_compilation_cache", False)
 
 import cgm_jax.envs.quiet_import  # noqa: E402, F401 -- ahead of Brax, whose imports it silences
+from cgm_jax.config.user_code import Neighbours  # noqa: E402
 
 
 @pytest.fixture
@@ -58,3 +59,12 @@ def forgotten_programs() -> Iterator[None]:
     """Drop what a file's tests compiled: thousands of programs exhaust a process's memory maps."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten_neighbours() -> Iterator[None]:
+    """A file's tests find no modules beside files that another file's tests have named."""
+    yield
+    for finder in [one for one in sys.meta_path if isinstance(one, Neighbours)]:
+        finder.forget(finder.found)
+        sys.meta_path.remove(finder)

@@ -126,18 +126,18 @@ class Neighbours(MetaPathFinder):
     def make_way(self, folder: Path, only: str | None) -> None:
         """Forget modules that have the same names as some in another folder, whose turn it is."""
         names = self.found if only is None else self.found & {only}
-        self._forget({top for top in names if PathFinder.find_spec(top, [str(folder)])})
+        self.forget({top for top in names if PathFinder.find_spec(top, [str(folder)])})
 
     def forget_if_stale(self) -> None:
         """Forget all modules if a file of one has been edited since it ran."""
         ours = run_files(Path(self._folder))
         if any(digest_of(Path(path)) != digest for path, digest in ours.items()):
-            self._forget(self.found)
+            self.forget(self.found)
             for path in ours:
                 del _digests[path]
 
-    def _forget(self, tops: set[str]) -> None:
-        """What has imported them keeps them."""
+    def forget(self, tops: set[str]) -> None:
+        """Let modules be found and run anew. What has imported them keeps them."""
         for name in list(sys.modules):
             if name.partition(".")[0] in tops:
                 del sys.modules[name]

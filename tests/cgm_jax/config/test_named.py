@@ -49,7 +49,7 @@ def in_a_new_process() -> None:
     named._named_now.clear()
     named._from_config.clear()
     for finder in user_code._finders.values():
-        finder._forget(finder.found)
+        finder.forget(finder.found)
 
 
 def test_a_file_imports_its_neighbours_from_any_working_directory(
