@@ -9,7 +9,9 @@ import tempfile
 from collections.abc import Iterator
 
 # Tests compile many small programs and run them briefly.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+)
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 # What tests name on their command lines is not named by whoever runs them.
