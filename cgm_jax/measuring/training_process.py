@@ -120,25 +120,28 @@ class TrainingProcess:
         wall_s = time.monotonic() - self._resumed
         while True:
             state, cpu_s = process_times(self._process.pid)
-            if state == "T":
+            if state in "TZ":  # it may end with the epoch; why, the next call says
                 return wall_s, cpu_s
-            if state == "Z":
-                self._give_up(self._process.wait())
             time.sleep(POLL_SECONDS / 10)
+
+    def _ended(self) -> bool:
+        """Whether the process has; it stays a zombie, which can be signalled and read about."""
+        options = os.WEXITED | os.WNOHANG | os.WNOWAIT
+        return os.waitid(os.P_PID, self._process.pid, options) is not None
 
     def _wait_for_row(self) -> dict[str, Any]:
         """The last row of metrics.jsonl, once it is of a further epoch."""
         seen = 0
         while True:
-            code = self._process.poll()  # before the rows: the last of them may come with the end
+            ended = self._ended()  # before the rows: the last of them may come with the end
             size = self._metrics.stat().st_size if self._metrics.exists() else 0
             if size != seen and (rows := self._rows()):
                 if rows[-1]["epoch"] > self._epoch:
                     return rows[-1]
                 if rows[-1]["epoch"] < self._epoch:  # it has moved on to other runs
                     self._give_up(ExitCode.DONE)
-            if code is not None:
-                self._give_up(code)
+            if ended:
+                self._give_up(self._process.wait())
             seen = size
             time.sleep(POLL_SECONDS)
 

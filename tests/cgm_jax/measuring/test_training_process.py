@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.measuring import training_process
 from cgm_jax.measuring.checkouts import Checkout
 from cgm_jax.measuring.training_process import (
     MeasurementError,
@@ -82,6 +83,16 @@ def test_a_sweep_without_further_epochs_is_named(
         process.train_epoch()
         process.train_epoch()
         with pytest.raises(MeasurementError, match=r"at abcdef trains .* for 2 epochs only"):
+            process.train_epoch()
+
+
+def test_an_epoch_with_which_the_sweep_ends_counts(
+    checkout: Checkout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training_process, "POLL_SECONDS", 2.0)  # it has ended when that is noticed
+    with training(checkout, tmp_path, "--epochs", "1") as process:
+        assert process.train_epoch().env_steps == 100
+        with pytest.raises(MeasurementError, match=r"at abcdef trains .* for 1 epochs only"):
             process.train_epoch()
 
 
