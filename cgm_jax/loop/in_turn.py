@@ -29,7 +29,7 @@ def in_turn(function: Callable[..., Any], count: jax.Array) -> Callable[..., Any
         empty = jax.tree.map(lambda leaf: jax.lax.empty((rows, *leaf.shape), leaf.dtype), like)
 
         def turn(index: jax.Array, done: Any) -> Any:
-            return _with_row(done, index, _apart(function, *_row(trees, index)))
+            return _with_row(done, index, _apart(index, function, *_row(trees, index)))
 
         return jax.lax.fori_loop(0, count, turn, empty)
 
@@ -46,7 +46,7 @@ def in_place(function: Callable[..., Any], count: jax.Array) -> Callable[..., An
 
     def on_rows(states: Tree, tree: Any) -> Tree:
         def turn(index: jax.Array, states: Tree) -> Tree:
-            after = _apart(function, _row(states, index), _row(tree, index))
+            after = _apart(index, function, _row(states, index), _row(tree, index))
             return _with_row(states, index, after)
 
         return jax.lax.fori_loop(0, count, turn, states)
@@ -54,10 +54,15 @@ def in_place(function: Callable[..., Any], count: jax.Array) -> Callable[..., An
     return on_rows
 
 
-def _apart(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function that XLA does not fuse with what is around it."""
+def _apart(index: jax.Array, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function that XLA does not fuse with what is around it.
+
+    Nor takes out of the loop: of a single row nothing but the barrier depends on the turn, and so
+    a device without runs would compute one.
+    """
     barrier = jax.lax.optimization_barrier
-    return barrier(function(*barrier(arguments)))
+    arguments, _ = barrier((arguments, index))
+    return barrier(function(*arguments))
 
 
 def _row(tree: Tree, index: jax.Array | int) -> Tree:
