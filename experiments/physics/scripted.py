@@ -9,9 +9,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import State
 
 from cgm_jax.envs.fetch import FetchEnvironment
+from cgm_jax.envs.quiet_import import State
 
 Controller = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 

@@ -6,10 +6,10 @@
 import itertools
 
 import numpy as np
-from brax.envs.base import State
 
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.observations import SECONDS_PER_CONTROL_STEP
+from cgm_jax.envs.quiet_import import State
 
 
 def observations(states: list[State]) -> np.ndarray:
