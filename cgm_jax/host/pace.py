@@ -9,6 +9,7 @@ class Pace:
 
     def __init__(self) -> None:
         self._seconds_per_cycle: float | None = None
+        self._compiled = False
 
     def next_chunk(self, remaining: int) -> int:
         """Cycles for the next chunk: one until a cycle has been timed."""
@@ -19,4 +20,9 @@ class Pace:
 
     def record(self, cycles: int, seconds: float) -> None:
         """Take in how long a chunk took. The first includes compilation and is too slow."""
+        self._compiled = self._seconds_per_cycle is not None
         self._seconds_per_cycle = seconds / cycles
+
+    def outlasts(self, seconds: float) -> bool:
+        """Whether even a chunk of one cycle takes longer than that, as far as is known."""
+        return self._compiled and (self._seconds_per_cycle or 0.0) > seconds

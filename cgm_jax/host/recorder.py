@@ -76,13 +76,22 @@ class Recorder:
                 print(f"{note}; it learns no more, the others continue", file=sys.stderr)
         return rows
 
-    def save_if_due(self, training: TrainingProgress) -> None:
-        """Write a checkpoint if the last one is old; if that fails, say so and continue."""
-        if time.monotonic() - self._saved >= self._interval:
-            self.try_to_save(training)
+    def save_if_due(self, training: TrainingProgress, *, always: bool = False) -> bool:
+        """Write a checkpoint if the last one is old; if that fails, say so and continue.
 
-    def try_to_save(self, training: TrainingProgress) -> None:
-        """Write policies and a checkpoint; if that fails, say so and continue."""
+        Args:
+            training: what to write.
+            always: whether it is due however new the last one is.
+
+        Returns:
+            Whether it has been written.
+        """
+        if always or time.monotonic() - self._saved >= self._interval:
+            return self.try_to_save(training)
+        return False
+
+    def try_to_save(self, training: TrainingProgress) -> bool:
+        """Write policies and a checkpoint; if that fails, say so, continue, and return false."""
         try:
             self.save(training)
         except OSError as error:
@@ -92,6 +101,8 @@ class Recorder:
                 "and training continues",
                 file=sys.stderr,
             )
+            return False
+        return True
 
     def save(self, training: TrainingProgress) -> None:
         """Write policies and a checkpoint.

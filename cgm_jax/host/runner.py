@@ -14,7 +14,7 @@ from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
-from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.interruption import PATIENCE_SECONDS, Interruption
 from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
 from cgm_jax.host.pace import Pace
 from cgm_jax.host.progress import SweepProgress
@@ -264,6 +264,7 @@ def _train(
                 metrics = _close_epoch(programs, training, hyper)
                 training.wall_s = time.monotonic() - began
                 progress.epoch(training.epoch, recorder.record_epoch(training, metrics))
+            interruption.expendable = False  # as the first chunk was, which compiles
             something_happened()
             if _is_finished(job.group, training):
                 recorder.save(training)
@@ -271,8 +272,10 @@ def _train(
                 recorder.try_to_save(training)
                 return False
             else:
-                recorder.save_if_due(training)
-            interruption.expendable = False  # as it was during the first chunk, which compiles
+                # A signal cannot wait for a cycle so long, which begins with nothing to lose then.
+                long = pace.outlasts(PATIENCE_SECONDS)
+                saved = recorder.save_if_due(training, always=long)
+                interruption.expendable = long and saved
     interruption.expendable = True
     return not interruption.requested
 

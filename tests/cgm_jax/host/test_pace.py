@@ -11,3 +11,13 @@ def test_chunks_start_with_one_cycle_and_then_fill_two_seconds() -> None:
     assert pace.next_chunk(3) == 3
     pace.record(8, 80.0)
     assert pace.next_chunk(90) == 1
+
+
+def test_a_cycle_outlasts_what_is_shorter_once_one_is_timed_that_did_not_compile() -> None:
+    pace = Pace()
+    assert not pace.outlasts(8.0)
+    pace.record(1, 30.0)
+    assert not pace.outlasts(8.0)
+    pace.record(2, 18.0)
+    assert pace.outlasts(8.0)
+    assert not pace.outlasts(9.0)

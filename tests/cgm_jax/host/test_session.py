@@ -38,6 +38,7 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.host import dry_run, recorder, runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results import figures
+from cgm_jax.storage.checkpoints import finished_checkpoints
 from cgm_jax.storage.lock import InUseError, locked
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import POINT_MASS, assert_same_results, final_state, rows
@@ -117,6 +118,33 @@ def stop_at_epoch(monkeypatch: pytest.MonkeyPatch, epoch: int, out: Path, *optio
     with monkeypatch.context() as patch:
         at_epoch(patch, epoch, lambda: os.kill(os.getpid(), signal.SIGTERM))
         assert train(out, *options) == 75
+
+
+def test_a_cycle_for_which_a_signal_cannot_wait_begins_with_nothing_to_lose(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listening, begun = [], []
+    listen, train_chunk = session.Interruption, runner._train_chunk
+
+    def remembered(**options: Any) -> Any:
+        listening.append(listen(**options))
+        return listening[-1]
+
+    def chunk(job: runner.Job, training: TrainingProgress, *rest: Any) -> None:
+        saved = finished_checkpoints(tmp_path / "out" / "checkpoints", 0)[-1:]
+        stem = f"group0_epoch{training.epoch:06d}_cycle{training.cycle:06d}"
+        begun.append((listening[0].expendable, [path.stem for path in saved] == [stem]))
+        train_chunk(job, training, *rest)
+
+    monkeypatch.setattr(session, "Interruption", remembered)
+    monkeypatch.setattr(runner, "_train_chunk", chunk)
+    monkeypatch.setattr(runner, "PATIENCE_SECONDS", 0.0)  # as if every cycle took longer
+    assert train(tmp_path / "out") == 0
+    # The first compiles, and only the second tells how long a cycle takes.
+    assert begun[:2] == [(True, False), (False, False)]
+    assert begun[2:] == [(True, True)] * (len(begun) - 2)
+    assert len(begun) > EPOCHS
+    assert_same_results(whole, tmp_path / "out")
 
 
 def test_the_same_command_resumes_and_a_finished_sweep_stays_as_it_is(
