@@ -158,9 +158,3 @@ def _evaluate_without_replay(
     """Evaluation does not change the replay, which is too large to be copied for nothing."""
     state, metrics = trainer.evaluate(state, hyper)
     return state.replace(replay=None), metrics
-
-
-def compilations(programs: Programs) -> int:
-    """How many programs XLA has compiled so far; at most three however long training lasts."""
-    jitted = (programs.start, programs.train, programs.evaluate)
-    return sum(program._cache_size() for program in jitted)  # pyright: ignore

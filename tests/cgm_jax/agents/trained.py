@@ -12,6 +12,7 @@ from cgm_jax.config.fields import declared, stack
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
+from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
@@ -29,6 +30,7 @@ class Trained(NamedTuple):
         start: before any training.
         first, second: after so many epochs.
         failure: of each run after both.
+        compiled_later: programs that were compiled in the second epoch.
     """
 
     programs: Programs
@@ -38,6 +40,7 @@ class Trained(NamedTuple):
     first: TrainingState
     second: TrainingState
     failure: np.ndarray
+    compiled_later: int
 
 
 @functools.cache
@@ -59,8 +62,10 @@ def trained(agent: str) -> Trained:
 
     start = on_host(programs.start(hyper))
     first, _ = epoch(start)
+    before = programs_compiled()
     second, failure = epoch(first)
-    return Trained(programs, list(runs), hyper, start, first, second, failure)
+    later = programs_compiled() - before
+    return Trained(programs, list(runs), hyper, start, first, second, failure, later)
 
 
 def on_host(state: TrainingState) -> TrainingState:

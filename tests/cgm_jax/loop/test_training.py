@@ -12,7 +12,8 @@ from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.state import TrainingState
-from cgm_jax.loop.training import Trainer, compilations, make_programs, make_trainer
+from cgm_jax.loop.training import Trainer, make_programs, make_trainer
+from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.probe import (
     TINY,
     AlwaysFaultyProbe,
@@ -173,15 +174,17 @@ def test_sampled_goals_change_after_every_reset() -> None:
 
 def test_training_compiles_once_however_it_is_cut_into_chunks() -> None:
     programs = PROGRAMS
+    compiled = []
     for values in ((0.1, 0.2), (0.6, 0.9)):
         hyper = stack([tiny(c_g=c_g) for c_g in values])
         state = programs.start(hyper)
-        for _ in range(2):
-            for cycles in (1, 3, 2):
+        for chunks in ((4,), (1, 3, 2)):
+            for cycles in chunks:
                 state = programs.train(state, hyper, cycles)
             state, _ = programs.evaluate(state, hyper)
-        # Start, train and evaluate, whatever the values and the number of cycles.
-    assert compilations(programs) == 3
+            compiled.append(programs_compiled())
+    # Start, train and evaluate, whatever the values and the number of cycles.
+    assert compiled[1:] == compiled[:1] * 3
 
 
 def test_chunks_give_the_bits_of_one_epoch() -> None:
