@@ -44,10 +44,7 @@ import pytest  # noqa: E402
 
 import cgm_jax.envs.quiet_import  # noqa: E402, F401 -- ahead of Brax, whose imports it silences
 from cgm_jax.config.user_code import Neighbours  # noqa: E402
-from cgm_jax.host.startup import prepare_jax  # noqa: E402
 
-# As for the programs, whose bits depend on it, whichever test lets JAX start.
-prepare_jax()
 # Programs of this process are not worth keeping; those of processes that tests start are.
 jax.config.update("jax_enable_compilation_cache", False)
 

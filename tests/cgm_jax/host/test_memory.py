@@ -88,7 +88,7 @@ def test_the_model_of_each_phase_against_xlas_own_plan(case: str) -> None:
     state = jax.eval_shape(programs.start, hyper)
     plan = programs.train.lower(state, hyper, 1).compile().memory_analysis()  # pyright: ignore
     estimate = estimate_memory(trainer, run.hyper)
-    idle = runs * estimate.state  # of a second device: the plan is that of one
+    idle = runs * estimate.state  # of a second device, which this process has not
     modelled = estimate.total(runs) - estimate.fixed - idle
     actual = plan.argument_size_in_bytes + plan.temp_size_in_bytes
     assert modelled == pytest.approx(actual, rel=0.35)
