@@ -11,6 +11,12 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 NOTEBOOK = ROOT / "docs" / "first_run.ipynb"
+SHOWN = {
+    "environment.html": {"Semi", "velocity", "make_trainer"},
+    "curriculum.html": {"Growing", "MyState"},
+    "other_libraries.html": {"make_vec", "HerReplayBuffer"},
+}
+"""Words that pages have from files that are put into them."""
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -33,6 +39,13 @@ def test_links_and_snippets_lead_somewhere(page: Path) -> None:
         )
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_snippets_are_what_the_site_takes_them_for(page: Path) -> None:
+    text = page.read_text()
+    assert not re.findall(r"^(?:python|make|pip|source) .*", text, re.MULTILINE)  # not indented
+    assert len(re.findall(r"8 ?<", text)) == len(re.findall(r'^--8<-- "', text, re.MULTILINE))
+
+
 def test_every_page_is_in_the_menu() -> None:
     menu = (ROOT / "mkdocs.yml").read_text()
     made = {"results.md", "api.md"}
@@ -48,6 +61,10 @@ def test_the_site_builds_strictly(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert "p(m) ~ (1 - |c_m - c_g|)^kappa" in (tmp_path / "method.html").read_text()
     assert "normalised_limit" in (tmp_path / "index.html").read_text()  # the README's lines
+    for page, shown in SHOWN.items():
+        assert shown <= {*re.findall(r"\w+", (tmp_path / page).read_text())}
+    for page in tmp_path.glob("*.html"):
+        assert "8&lt;" not in page.read_text().replace(" ", "")
     assert (tmp_path / "results" / "page.png").is_file()
     for room in (path.parent.name for path in (ROOT / "cgm_jax").glob("*/__init__.py")):
         assert f"cgm_jax.{room}" in (tmp_path / "api" / f"{room}.html").read_text()
