@@ -27,6 +27,7 @@ from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.config.spelling import value_of
 from cgm_jax.host.devices import ALL, parse_devices
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.help_texts import with_paragraphs
 from cgm_jax.host.setting_options import (
     SettingOptions,
     asks_for_help,
@@ -208,9 +209,11 @@ def seed_values(options: Any, grid: Grid) -> Grid:
 def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) -> Options:
     """Parse arguments; on bad ones end with one line and exit code 2."""
     words = sys.argv[1:] if arguments is None else arguments
-    if issubclass(kind, TrainingOptions) and asks_for_help(words):
-        show_preset(words, kind.default_preset, single=not kind.sweeps)
-        kind = in_groups(kind)
+    if asks_for_help(words):
+        if issubclass(kind, TrainingOptions):
+            show_preset(words, kind.default_preset, single=not kind.sweeps)
+            kind = in_groups(kind)
+        kind = with_paragraphs(kind)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
