@@ -21,7 +21,7 @@ from cgm_jax.host.startup import prepare_jax
 from cgm_jax.pretrained import NAMES as PRETRAINED
 from cgm_jax.pretrained import pretrained_policy
 from cgm_jax.results.chosen import chosen_policies, named_code
-from cgm_jax.results.plan import Plan
+from cgm_jax.results.plan import Plan, mask_words
 from cgm_jax.results.statistics import wilson_interval
 
 if TYPE_CHECKING:
@@ -77,7 +77,8 @@ class EvaluateOptions:
     """Random seed of starts and goals, the same for every policy."""
 
     mask: str = ""
-    """Goal axes that count as achieved, such as z or xy (default: none, the full goal)."""
+    """Goal dimensions that count as achieved, such as z, xy, or numbers from 0: 2 or 0,4 (default:
+    none, the full goal)."""
 
     video: Path | None = None
     """Video of the best policy's first episodes, an .mp4 or .gif file: of the Fetch tasks, or of an
@@ -200,7 +201,7 @@ def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
 def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
     """One line per policy."""
     width = max(len(name) for name in outcomes)
-    goals = f", goals with {' and '.join(mask)} masked" if mask else ""
+    goals = f", goals with {' and '.join(mask_words(mask))} masked" if mask else ""
     lines = []
     for name, outcome in outcomes.items():
         dropped = outcome.episodes - outcome.valid

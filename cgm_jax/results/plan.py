@@ -1,11 +1,12 @@
 """What policies are evaluated on. Needs no device, so that bad plans are refused early."""
 
+import re
 from dataclasses import dataclass
 
 from cgm_jax.config.fields import SettingError
 
 AXES = "xyz"
-"""Letters of the first goal dimensions, as `--mask` names them."""
+"""Letters of the first goal dimensions, as `--mask` names them; it numbers any from 0."""
 
 RANGES = {"episodes": (1, 10**6), "seed": (0, 2**31 - 1), "recorded": (0, 1000)}
 
@@ -17,13 +18,13 @@ class Plan:
     Attributes:
         episodes: how many per policy. The first ones are the same for any number.
         seed: of starts and goals, the same for every policy.
-        mask: goal axes that count as achieved, letters of `AXES`; "" is the full goal.
+        mask: goal dimensions that count as achieved, such as "xz" or "0,4"; "" is the full goal.
         recorded: of how many episodes, the first ones, to keep every state.
         view: whether they are for MuJoCo's viewer, and not for a video.
         engine: physics engine to use instead of the one in the settings, or None.
 
     Raises:
-        SettingError: a number out of its range, or a mask of other letters.
+        SettingError: a number out of its range, or a mask of other letters or twice the same.
     """
 
     episodes: int
@@ -38,6 +39,32 @@ class Plan:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SettingError(f"{name}: {value} is not within [{low}, {high}]")
-        letters = set(self.mask)
-        if letters - set(AXES) or len(letters) < len(self.mask):
-            raise SettingError(f"mask: {self.mask!r} is not made of x, y and z, each at most once")
+        axes = masked_axes(self.mask)
+        if len(set(axes)) < len(axes):
+            raise _bad_mask(self.mask)
+
+
+def mask_words(mask: str) -> list[str]:
+    """What a mask names, one by one: letters without commas, else letters or numbers."""
+    return mask.split(",") if re.search(r"[\d,]", mask) else list(mask)
+
+
+def masked_axes(mask: str) -> list[int]:
+    """Numbers of the goal dimensions that a mask names.
+
+    Raises:
+        SettingError: it is made of something else.
+    """
+    axes = []
+    for word in mask_words(mask):
+        if not re.fullmatch(rf"[{AXES}]|[0-9]{{1,6}}", word):
+            raise _bad_mask(mask)
+        axes.append(AXES.index(word) if word in AXES else int(word))
+    return axes
+
+
+def _bad_mask(mask: str) -> SettingError:
+    return SettingError(
+        f"mask: {mask!r} is not made of x, y and z, or of numbers from 0 with commas, "
+        "each at most once"
+    )

@@ -23,7 +23,7 @@ from cgm_jax.loop.own_environment import OwnEnvironment
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
 from cgm_jax.replay.ring import Episodes
 from cgm_jax.results.chosen import Policies
-from cgm_jax.results.plan import AXES, Plan
+from cgm_jax.results.plan import Plan, mask_words, masked_axes
 from cgm_jax.storage.policies import act, load_policy
 
 if TYPE_CHECKING:
@@ -152,8 +152,11 @@ def planned_environment(settings: Settings, plan: Plan) -> GoalEnvironment:
     if plan.recorded:
         _check_shown(env, settings.env, plan)
     size = _goal_size(env)
-    if beyond := [axis for axis in plan.mask if AXES.index(axis) >= size]:
-        raise SettingError(f"mask: goals of {settings.env} have no {beyond[0]}")
+    for word, axis in zip(mask_words(plan.mask), masked_axes(plan.mask), strict=True):
+        if axis >= size:
+            raise SettingError(
+                f"mask: goals of {settings.env} have no {word}, but dimensions 0 to {size - 1}"
+            )
     return env
 
 
@@ -177,9 +180,9 @@ def _check_shown(env: GoalEnvironment, name: str, plan: Plan) -> None:
 
 
 def goal_mask(mask: str, goal_size: int) -> np.ndarray:
-    """From letters of masked axes to 1 = keep, 0 = masked, [goal_size] float32."""
+    """From names of masked dimensions to 1 = keep, 0 = masked, [goal_size] float32."""
     kept = np.ones(goal_size, np.float32)
-    kept[[AXES.index(axis) for axis in mask]] = 0.0
+    kept[masked_axes(mask)] = 0.0
     return kept
 
 

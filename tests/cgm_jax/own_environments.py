@@ -41,6 +41,18 @@ class NumpyNumbers(Base):
     distance_threshold = np.float32(0.125)
 
 
+class FarInTheFourth(Base):
+    """A goal of five dimensions that only the fourth keeps from being achieved."""
+
+    action_size = 5
+
+    def reset(self, rng: jax.Array) -> State:
+        return self.state(jnp.zeros(5), jnp.zeros(5).at[3].set(1e3))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self.state(state.obs["achieved_goal"], state.obs["desired_goal"])
+
+
 class NeverValid(Base):
     """Every episode is dropped."""
 

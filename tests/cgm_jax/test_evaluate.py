@@ -34,6 +34,7 @@ from cgm_jax.results.plan import Plan
 from cgm_jax.results.policies import Outcome, Recording, evaluate_policies, evaluate_random
 from cgm_jax.results.video import write_video
 from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax import own_environments
 from tests.envs.surface import can_render
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -109,6 +110,17 @@ def test_success_under_a_mask_is_that_of_the_kept_axes(directory: RunDirectory) 
     np.testing.assert_array_equal(still.recording.achieved[:, -1], achieved)
     everything = evaluate(directory, Plan(episodes=9, seed=3, mask="yxz"), "still")
     assert everything["still"].successes == 9
+    numbered = evaluate(directory, Plan(episodes=60, seed=3, mask="2,0"), "still")
+    assert numbered["still"].successes == still.successes
+
+
+def test_any_dimension_of_a_goal_is_masked_by_its_number() -> None:
+    far = Settings(env=f"{own_environments.__file__}:FarInTheFourth")
+    successes = {
+        mask: evaluate_random(far, Plan(episodes=5, seed=0, mask=mask)).successes
+        for mask in ("", "3", "0,1,2,4", "x,3")
+    }
+    assert successes == {"": 0, "3": 5, "0,1,2,4": 0, "x,3": 5}
 
 
 def test_random_actions_are_uniform_and_follow_the_seed() -> None:
@@ -178,6 +190,7 @@ def test_dropped_episodes_and_masks_are_said() -> None:
         "none": Outcome(env, episodes=10, valid=0, successes=0, recording=None),
         "all": Outcome(env, episodes=10, valid=10, successes=10, recording=None),
     }
+    assert "10 episodes, goals with 0 and 14 masked)" in _report(outcomes, "0,14")[2]
     assert _report(outcomes, "xz") == [
         "some   50.0 %  (95 %: 21.5 to 78.5, 8 episodes, goals with x and z masked, "
         "2 dropped for physics_warnings)",
@@ -301,6 +314,9 @@ BAD_INPUT = {
     "--random --env reach --engine bullet": "engine: unknown engine 'bullet'",
     "--random --env reach --mask xq": "mask: 'xq' is not made of x, y and z",
     "--random --env reach --mask xx": "mask: 'xx' is not made of x, y and z",
+    "--random --env reach --mask x,0": "mask: 'x,0' is not made of x, y and z, or of numbers",
+    "--random --env reach --mask 0,": "mask: '0,' is not made of x, y and z, or of numbers",
+    "--random --env reach --mask 3": "mask: goals of reach have no 3, but dimensions 0 to 2",
     "--random --env reach --episodes 0": "episodes: 0 is not within [1, 1000000]",
     "--random --env reach --video out.avi": "video: out.avi ends neither in .mp4 nor in .gif",
     "--random --env reach --video nowhere/out.gif": "video: nowhere is no directory",
