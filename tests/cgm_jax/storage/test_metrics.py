@@ -106,8 +106,8 @@ def test_the_readmes_lines_of_pandas_read_metrics(
     folder.mkdir(parents=True)
     (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     monkeypatch.chdir(tmp_path)
-    page = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text()
-    exec(page.split("<!-- pandas -->\n```python\n")[1].split("```")[0], {})
+    readme = (Path(__file__).parents[3] / "README.md").read_text()
+    exec(readme.split("<!-- pandas -->\n```python\n")[1].split("```")[0], {})
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines[-3:] == [  # medians over seeds: those of seed 1
         ["cgm", "0.1", "4.0", "0.05", "0.1"],
