@@ -86,7 +86,7 @@ class TrainingOptions(SettingOptions):
     which each program is compiled and run for some seconds. Makes no directory."""
 
     config: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE.toml|DIR", help_behavior_hint="")
+        Path | None, tyro.conf.arg(metavar="FILE.toml|FILE.json|DIR", help_behavior_hint="")
     ] = None
     """Settings from a file: a settings.toml, or the config.json of a run directory, which trains it
     again. What is given here comes before the file."""
