@@ -16,8 +16,8 @@ MAX_INSIDE = 12
 MAX_ENTRIES = 60
 """Entries of a legend at all."""
 
-ROWS = 24
-"""Entries of one column beside a panel."""
+ROWS = 22
+"""Entries of one column beside a panel: as many as the tallest of Matplotlib's versions fits."""
 
 
 def make_panels(
@@ -68,6 +68,7 @@ def add_legend(panel: Axes, title: str | None = None) -> None:
         loc="upper left",
         bbox_to_anchor=(1.01, 1.0),
         borderaxespad=0.0,
+        labelspacing=0.2,
         ncols=-(-len(handles) // ROWS),
         title=title,
         fontsize=7,

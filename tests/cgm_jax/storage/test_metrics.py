@@ -92,6 +92,7 @@ def test_a_table_names_the_cells_of_lists_of_lists_and_quotes_words_with_commas(
 def test_the_readmes_lines_of_pandas_read_metrics(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("pandas", reason="make setup has it")
     points = [("cgm", 0.1, 4.0), ("cgm", 0.4, 4.0), ("full", None, None)]
     rows = [
         {

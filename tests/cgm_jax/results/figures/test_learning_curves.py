@@ -121,11 +121,12 @@ def test_so_many_settings_that_panels_would_be_too_many_are_told_by_lines() -> N
         assert len(looks) == 26
 
 
-def test_twenty_labels_stand_beside_the_panel() -> None:
-    rows = sweep(lambda c_g, seed: [c_g, c_g], seeds=1, c_g=[i / 20 for i in range(20)])
+@pytest.mark.parametrize("count", [13, 20, 22, 50])
+def test_many_labels_stand_beside_the_panel(count: int) -> None:
+    rows = sweep(lambda c_g, seed: [c_g, c_g], seeds=1, c_g=[i / 100 for i in range(count)])
     figure = learning_curves(rows)
     (panel,) = panels(figure)
-    assert legend(panel) == [f"$c_g$ = {5 * i} %" for i in range(20)]
+    assert legend(panel) == [f"$c_g$ = {i} %" for i in range(count)]
     box = legend_of(panel).get_window_extent()
     assert box.x0 >= panel.get_window_extent().x1
     assert box.x1 <= figure.bbox.x1
