@@ -1,4 +1,7 @@
-"""Kernel density estimates with a Gaussian kernel, as scikit-learn's `KernelDensity`."""
+"""Kernel density estimates with a Gaussian kernel, as scikit-learn's `KernelDensity`.
+
+Not `jax.scipy.stats.gaussian_kde`, whose kernel has the shape of the samples' covariance.
+"""
 
 import math
 
