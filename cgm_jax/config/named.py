@@ -183,7 +183,8 @@ def require_named(setting: str, text: str) -> None:
     try:
         file = _file(setting, text)
     except SettingError as error:
-        raise SettingError(f"{error}; if it has moved, name it: {_option(setting, text)}") from None
+        why = "has moved or is another interpreter's" if is_gymnasium(text) else "has moved"
+        raise SettingError(f"{error}; if it {why}, name it: {_option(setting, text)}") from None
     if file not in _named_now:
         _from_config.add(file)
         _admitting(setting, text, file)(file, file.read_bytes())

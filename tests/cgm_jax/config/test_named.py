@@ -244,6 +244,15 @@ def test_a_file_that_has_moved_is_said_to_be_nameable(tmp_path: Path) -> None:
         require_named("env", text)
 
 
+def test_a_module_that_another_interpreter_has_is_said_to_be_nameable() -> None:
+    text = "gymnasium:nobody_has_this:Push-v4"
+    complaint = f"here; if it has moved or is another interpreter's, name it: --env {text}$"
+    with pytest.raises(SettingError, match=complaint):
+        require_named("env", text)
+    name_now(text)
+    require_named("env", text)
+
+
 @pytest.mark.parametrize("variables", [{"HOME": ""}, {"XDG_STATE_HOME": "here", "HOME": "here"}])
 def test_without_a_home_only_what_is_named_now_runs(
     variables: dict[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch
