@@ -3,10 +3,14 @@
 Times whole rollouts of ROWS episodes with random actions through the loop, where the environment
 lives in a process of its own, and of Gymnasium's vector environment by itself, in turns; and the
 task `reach` of this package on the same machine. All figures are ratios of steps per second within
-a round: the median, least and greatest over rounds. Writes OUT/hosted_speed.csv.
+a round: the median, least and greatest over rounds. Writes OUT/hosted_speed.csv, in which tasks
+that are not measured now keep their rows: those of one interpreter (CGM_JAX_GYMNASIUM_PYTHON) are
+measured together.
 """
 
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,10 +22,12 @@ import tyro
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import gymnasium_name, is_gymnasium, name_now
 from cgm_jax.config.settings import Settings
+from cgm_jax.envs.hosted.process import other_interpreter
 from cgm_jax.host.command_line import parse, run_program
-from experiments.table import write_table
+from experiments.table import read_table, write_table
 
 OUT = Path(__file__).resolve().parents[1] / "results" / "hosted_speed"
+ALONE = Path(__file__).with_name("hosted_alone.py")
 
 
 @dataclass(kw_only=True)
@@ -67,7 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         print(table[-1], flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
-    write_table(options.out / "hosted_speed.csv", table)
+    path = options.out / "hosted_speed.csv"
+    measured = {row["task"] for row in table}
+    kept = [row for row in read_table(path) if row["task"] not in measured] if path.exists() else []
+    write_table(path, [*kept, *table])
     return 0
 
 
@@ -112,26 +121,21 @@ def through_the_loop(env_name: str, rows: int) -> Callable[[], int]:
 
 
 def by_itself(name: str, rows: int) -> Callable[[], int]:
-    """Rollouts of Gymnasium's vector environment, in this process."""
-    import importlib
-
-    import gymnasium
-
+    """Rollouts of Gymnasium's vector environment, in the interpreter that has the task."""
     module, env_id = gymnasium_name(name)
-    if module is not None:
-        importlib.import_module(module)
-    env = gymnasium.make_vec(env_id, num_envs=rows)
-    spec = gymnasium.spec(env_id)
-    assert spec.max_episode_steps is not None
-    length = spec.max_episode_steps
-    env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(length)]
+    process = subprocess.Popen(
+        [other_interpreter() or sys.executable, str(ALONE), module or "", env_id, str(rows)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    asked, answers = process.stdin, process.stdout
 
     def rollout() -> int:
-        env.reset(seed=0)
-        for action in actions:
-            env.step(action)
-        return rows * length
+        print(file=asked, flush=True)
+        return int(answers.readline())
 
     rollout()
     return rollout
