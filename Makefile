@@ -90,7 +90,7 @@ test-lowest test-newest: test-%: $(VENV)-%/.installed
 $(VENV)-lowest/.installed: RESOLUTION := lowest-direct
 $(VENV)-newest/.installed: RESOLUTION := highest
 $(VENV)-lowest/.installed $(VENV)-newest/.installed: pyproject.toml
-	$(PYTHON) -m venv $(@D)
+	$(PYTHON) -m venv --clear $(@D)
 	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check uv
 	$(@D)/bin/uv pip install --quiet --python $(@D)/bin/python --resolution $(RESOLUTION) \
 	    --requirement pyproject.toml --extra test
