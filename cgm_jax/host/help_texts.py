@@ -49,14 +49,12 @@ def _texts(kind: type) -> Iterator[tuple[str, str]]:
 def _told(hint: Any, text: str, default: Any) -> Any:
     """A type with a text, ahead of all else that it carries, which has priority."""
     kind, *others = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    told = tyro.conf.arg(help=text)
-    if default in (None, ()):
-        shown = _metavar(kind)
-        if tyro.conf.Positional in others and default is None:
-            shown = f"[{shown}]"
-        told = dataclasses.replace(told, metavar=shown)
-    if default in (None, (), False) or "(default" in text:
-        told = dataclasses.replace(told, help_behavior_hint="")
+    metavar = _metavar(kind) if default in (None, ()) else None
+    if default is None and tyro.conf.Positional in others:
+        metavar = f"[{metavar}]"
+    # None leaves it to tyro, which says "(default: ...)".
+    hint = "" if default in (None, (), False) or "(default" in text else None
+    told = tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=hint)
     return Annotated[kind, told, *others]
 
 
