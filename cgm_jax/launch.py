@@ -13,7 +13,7 @@ from cgm_jax.host.command_line import owns_process, parse, run_program, shell_co
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import conclude, new_directory
-from cgm_jax.launching.directory import LAUNCH, Launch, absolute_path
+from cgm_jax.launching.directory import ANY_CLUSTER, LAUNCH, Launch, absolute_path
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.results.merging import differences, read_parts, write_merged
@@ -80,7 +80,7 @@ def _run(
 ) -> int:
     """Train all parts and merge them."""
     if directory.holds_sweep():
-        return conclude(directory, directory.metrics())
+        return conclude(directory, directory.checked_metrics())
     runs = sum(len(group.runs) for group in groups)
     print(f"{launch.path}: {runs} runs in {launch.parts} parts, {launch.on}", file=sys.stderr)
     codes = supervise(launch, engine, _epochs(launch, groups), interruption)
@@ -116,7 +116,9 @@ def _epochs(launch: Launch, groups: Sequence[Group]) -> dict[int, int]:
 
 
 def _how_to_resume(launch: Launch) -> str:
-    return f"to resume: {shell_command('cgm_jax.launch', '--resume', launch.path)}"
+    address = launch.resources.address
+    named = [] if address == ANY_CLUSTER else ["--address", address]
+    return f"to resume: {shell_command('cgm_jax.launch', '--resume', launch.path, *named)}"
 
 
 if __name__ == "__main__":

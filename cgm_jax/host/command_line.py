@@ -157,15 +157,22 @@ def name_own_code(grid: Grid) -> None:
                 name_now(text)
 
 
-def chosen_values(options: Any, components: Mapping[str, Sequence[str]] | None = None) -> Grid:
+def chosen_values(
+    options: Any,
+    components: Mapping[str, Sequence[str]] | None = None,
+    *,
+    named_now: bool = True,
+) -> Grid:
     """The lists that the user gave, by setting; own code in them may run from now on.
 
     Args:
         options: of sweep or train.
         components: what a file chooses where options do not, by kind.
+        named_now: whether it is the user who gave them, and not a file of unknown origin.
     """
     grid = given_settings(options)
-    name_own_code(grid)
+    if named_now:
+        name_own_code(grid)
     return {**grid, **_set_values(options.set, {**(components or {}), **grid})}
 
 

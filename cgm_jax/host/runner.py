@@ -28,7 +28,7 @@ from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
-from cgm_jax.storage.metrics import Row
+from cgm_jax.storage.metrics import Row, check_rows
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory, start_beside
 
 
@@ -184,8 +184,10 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
     training, notes = load_checkpoint(directory.path / "checkpoints", index, like)
     if training is not None:
         try:
+            names = [run.name for run in job.group.runs]
+            check_rows(training.rows, names, training.epoch)
             training.rows = _renamed(training.rows, job.group)
-        except (KeyError, TypeError) as error:
+        except (KeyError, ValueError) as error:
             raise SettingError(f"resume: a checkpoint holds rows of other runs: {error}") from None
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
@@ -213,8 +215,6 @@ def _renamed(rows: Sequence[Row], group: Group) -> list[Row]:
     renamed = []
     for row in rows:
         names = {kind: name for kind, name in now[row["run"]].items() if kind in row}
-        if not isinstance(row["success_rate"], int | float | None):
-            raise TypeError(f"a success rate of {row['success_rate']!r}")
         renamed.append(row | names)
     return renamed
 

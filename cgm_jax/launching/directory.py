@@ -23,6 +23,9 @@ CARRIED = ("JAX_", "XLA_", "MUJOCO_", "CGM_JAX_", "PYTHONPATH", "XDG_STATE_HOME"
 
 MAX_BYTES = 2**24
 
+ANY_CLUSTER = "auto"
+"""For Ray: the cluster of this machine, or of RAY_ADDRESS."""
+
 
 @dataclass(frozen=True)
 class Resources:
@@ -42,7 +45,7 @@ class Resources:
     memory: float | None = None
     minutes: int = 60
     sbatch: tuple[str, ...] = ()
-    address: str = "auto"
+    address: str = ANY_CLUSTER
 
 
 @dataclass(frozen=True)

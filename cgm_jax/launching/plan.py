@@ -1,6 +1,7 @@
 """What is to be launched, from options: a new sweep in parts, or one that was stopped."""
 
 import importlib
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,13 +10,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from cgm_jax.config.components import NAMES
+from cgm_jax.config.components import NAMES, TRACK
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
-from cgm_jax.config.named import is_own, load_named, require_named
+from cgm_jax.config.named import is_own, load_named, name_now, require_named
 from cgm_jax.config.shards import MAX_PARTS
 from cgm_jax.host.command_line import chosen_values, parse, seed_values
 from cgm_jax.launching.directory import (
+    ANY_CLUSTER,
     LAUNCH,
     Launch,
     Resources,
@@ -126,7 +128,7 @@ def _new(options: LaunchOptions, words: Sequence[str]) -> tuple[Launch, list[Gro
     Raises:
         SettingError: the sweep is refused, or the directory holds something.
     """
-    groups, preset = _groups(words)
+    groups, preset = _groups(words, named_now=True)
     runs = sum(len(group.runs) for group in groups)
     jobs = options.jobs or 1
     if jobs > runs:
@@ -157,7 +159,8 @@ def _resumed(
     """
     launch = read_launch(path)
     named = parse(SweepOptions, words, f"{PROGRAM} --")
-    chosen = chosen_values(named)  # own code in it may run from now on
+    _name_own_code(named)
+    chosen = chosen_values(named)
     others = [name for name in chosen if name not in NAMES]
     others += [name for name in ("preset", "seeds", *OWN) if getattr(named, name)]
     if others:
@@ -168,11 +171,17 @@ def _resumed(
             raise SettingError(f"{kind}: {launch.path} was launched with something else")
     for kind, text in own:
         require_named(kind, text)
-    groups, _ = _groups(launch.sweep)
+    groups, _ = _groups(launch.sweep, named_now=False)
     on = options.on or launch.on
     if on not in ENGINES or not 1 <= launch.parts <= sum(len(group.runs) for group in groups):
         raise SettingError(f"{launch.path / LAUNCH} is damaged: {launch.parts} parts on {on!r:.20}")
     resources = _resources(options, launch.resources)
+    if on == "ray" and resources.address not in (ANY_CLUSTER, options.address):
+        # Ray takes code from the cluster that it connects to.
+        raise SettingError(
+            f"address: {launch.path / LAUNCH} names a Ray cluster; if you trust it, name it: "
+            f"--address {shlex.quote(resources.address)}"
+        )
     return replace(launch, on=on, resources=resources), groups
 
 
@@ -194,8 +203,12 @@ def _resources(options: LaunchOptions, before: Resources) -> Resources:
     return resources
 
 
-def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
+def _groups(words: Sequence[str], *, named_now: bool) -> tuple[list[Group], str]:
     """The whole sweep and its preset; all code of the user's own in it has been loaded.
+
+    Args:
+        words: options of the sweep.
+        named_now: whether the user gives them now, so that the code in them may run.
 
     Raises:
         SettingError: the sweep is refused.
@@ -207,7 +220,9 @@ def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
     for name, option in (("config", "config"), ("start", "from"), ("dry_run", "dry_run")):
         if getattr(options, name):
             raise SettingError(f"{option}: a launch takes its sweep from options alone")
-    chosen = seed_values(options, chosen_values(options))
+    if named_now:
+        _name_own_code(options)
+    chosen = seed_values(options, chosen_values(options, named_now=named_now))
     options.resumes()  # checks the rest
     preset = options.preset or options.default_preset
     groups = build_groups(preset, chosen)
@@ -219,4 +234,12 @@ def _groups(words: Sequence[str]) -> tuple[list[Group], str]:
 
 def _own_code(options: Any) -> list[tuple[str, str]]:
     """What of the user's own a sweep names, with the option that names it."""
-    return [(kind, text) for kind in NAMES for text in getattr(options, kind) or () if is_own(text)]
+    texts = [(kind, text) for kind in NAMES for text in getattr(options, kind) or ()]
+    texts += [] if options.track is None else [(TRACK, options.track)]
+    return [(kind, text) for kind, text in texts if is_own(text)]
+
+
+def _name_own_code(options: Any) -> None:
+    """What the user names of their own runs, a tracker included."""
+    for _, text in _own_code(options):
+        name_now(text)

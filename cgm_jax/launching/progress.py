@@ -53,7 +53,7 @@ class Rows:
             try:
                 row: Any = json.loads(line)
                 self.success[row["run"]] = row["success_rate"]
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, RecursionError):
                 continue
             self.count += 1
 

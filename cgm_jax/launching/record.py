@@ -17,6 +17,9 @@ from typing import Any
 
 Event = dict[str, Any]
 
+MANIFEST = re.compile(r"group([0-9]{1,9})_epoch([0-9]{1,10})_cycle([0-9]{1,10})\.json")
+"""Of a finished checkpoint, see storage/checkpoints.py, which would import JAX."""
+
 
 def append_event(record: Path, event: str, **values: Any) -> None:
     """Add an event to a part's record of attempts; where that cannot be written, go without."""
@@ -33,7 +36,7 @@ def events(record: Path) -> list[Event]:
         return []
     found = []
     for line in lines:
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, RecursionError):
             found.append(json.loads(line))
     return [entry for entry in found if isinstance(entry, dict) and "event" in entry]
 
@@ -42,7 +45,8 @@ def last_code(record: Path) -> int | None:
     """The exit code of the last attempt; None if it has none, since it was killed or still runs."""
     for entry in reversed(events(record)):
         if entry["event"] == "ended":
-            return entry.get("code")
+            code = entry.get("code")
+            return code if type(code) is int else None
         if entry["event"] in ("started", "submitted"):
             return None
     return None
@@ -50,10 +54,9 @@ def last_code(record: Path) -> int | None:
 
 def position(out: Path) -> list[int]:
     """Group, epoch and cycle of a part's last finished checkpoint: there an attempt begins."""
-    names = (path.stem for path in (out / "checkpoints").glob("group*_epoch*_cycle*.json"))
-    return max(
-        ([int(number) for number in re.findall("[0-9]+", name)] for name in names), default=[]
-    )
+    paths = (out / "checkpoints").glob("group*_epoch*_cycle*.json")
+    found = [MANIFEST.fullmatch(path.name) for path in paths]
+    return max(([int(number) for number in match.groups()] for match in found if match), default=[])
 
 
 def fruitless_attempts(record: Path, out: Path) -> int:

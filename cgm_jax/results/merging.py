@@ -21,6 +21,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.shards import Shard
 from cgm_jax.results.statistics import have_finished
+from cgm_jax.storage.arrays import read_shapes
 from cgm_jax.storage.checkpoints import (
     damage,
     finished_checkpoints,
@@ -29,7 +30,7 @@ from cgm_jax.storage.checkpoints import (
     write_manifest,
 )
 from cgm_jax.storage.files import replacing
-from cgm_jax.storage.metrics import Row, from_lines
+from cgm_jax.storage.metrics import Row, check_rows, from_lines
 from cgm_jax.storage.run_directory import UNREADABLE, RunDirectory
 
 PROVENANCE = ("versions", "python", "commit", "device", "flags", "variables", "machine", "files")
@@ -110,7 +111,11 @@ def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
             raise
         text = str(error).partition("\n")[0]
         raise SettingError(f"{path} cannot be read: {type(error).__name__}: {text}") from None
-    return Part(path, config, shard, pieces)
+    part = Part(path, config, shard, pieces)
+    for name in _policies(part):
+        if not (path / "policies" / name).is_file():
+            raise SettingError(f"{path / 'policies' / name} is missing; {_resume(path)}")
+    return part
 
 
 def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece:
@@ -122,16 +127,21 @@ def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece
     format_of(last)
     if (complaint := damage(last)) is not None:
         raise SettingError(f"{last} is damaged ({complaint}); {_resume(path)}")
-    with np.load(last, allow_pickle=False) as file:
-        epoch, cycle = (int(number) for number in file["position"])
-        rows = from_lines(bytes(file["rows"]).decode().splitlines())
+    try:
+        read_shapes(last)  # for no more than there is in it
+        with np.load(last, allow_pickle=False) as file:
+            epoch, cycle = (int(number) for number in file["position"])
+            rows = from_lines(bytes(file["rows"]).decode().splitlines())
+    except (*UNREADABLE, OSError) as error:
+        raise SettingError(f"{last} is no checkpoint: {error}") from None
+    names = [run["name"] for run in runs]
+    try:
+        check_rows(rows, names, epoch)
+    except (ValueError, KeyError) as error:
+        raise SettingError(f"{last} holds rows of other runs: {error}") from None
     rates = [row["success_rate"] for row in rows]
     if cycle or not have_finished(rates, len(runs), epoch, epochs, leave_at):
         raise _unfinished(path, epoch, epochs)
-    names = [run["name"] for run in runs]
-    expected = [(name, number) for number in range(1, epoch + 1) for name in names]
-    if [(row["run"], row["epoch"]) for row in rows] != expected:
-        raise SettingError(f"{last} holds rows of other runs")
     own = {run["name"]: {kind: run[kind] for kind in NAMES if kind in run} for run in runs}
     return Piece(last, [row | _among(own[row["run"]], row) for row in rows])
 

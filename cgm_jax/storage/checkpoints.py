@@ -14,6 +14,9 @@ from cgm_jax.storage.files import replacing
 FORMAT = 2
 """Of checkpoints, in the manifest. Format 1 had no such entry; its arrays are read if they fit."""
 
+NAME = re.compile(r"group[0-9]{1,9}_epoch[0-9]{1,10}_cycle[0-9]{1,10}\.npz")
+"""Of a checkpoint; what else lies beside them is nobody's business."""
+
 
 def manifest_path(path: Path) -> Path:
     """Where a checkpoint's SHA-256 and size are written, and the config, last of all."""
@@ -50,7 +53,7 @@ def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
     def position(path: Path) -> list[int]:
         return [int(number) for number in re.findall(r"\d+", path.stem)]
 
-    paths = directory.glob(f"group{group}_epoch*_cycle*.npz")
+    paths = [path for path in directory.glob(f"group{group}_*.npz") if NAME.fullmatch(path.name)]
     return sorted((path for path in paths if manifest_path(path).exists()), key=position)
 
 

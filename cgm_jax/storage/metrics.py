@@ -14,6 +14,16 @@ from cgm_jax.config.spelling import spelled
 Row = dict[str, Any]
 """What metrics.jsonl says of one run and epoch, in plain values as JSON has them."""
 
+ENTRIES: dict[str, Any] = {
+    "run": str,
+    "epoch": int,
+    "success_rate": int | float | None,
+    "physics_warnings": int | float,
+    "failed_epoch": int | None,
+    "failure": str | None,
+}
+"""What a summary reads of a row, and of what types."""
+
 
 def plain_row(values: Mapping[str, Any]) -> Row:
     """A row from any values: arrays become lists, a number that does not exist (0 / 0) None."""
@@ -36,6 +46,41 @@ def from_lines(lines: Iterable[str]) -> list[Row]:
     if not all(isinstance(row, dict) for row in rows):
         raise ValueError("a line is no object")
     return rows
+
+
+def check_row(row: Row) -> None:
+    """Check what a summary reads of a row, which may come from anybody.
+
+    Raises:
+        ValueError, KeyError: it is not such as a sweep writes.
+    """
+    for name, kinds in ENTRIES.items():
+        if not isinstance(row[name], kinds) or isinstance(row[name], bool):
+            raise ValueError(f"{name}: {row[name]!r:.40} in a row")
+    for name in ("swept", "reported"):
+        words = row.get(name, [])
+        if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+            raise ValueError(f"{name}: {words!r:.40} in a row")
+
+
+def check_rows(rows: Sequence[Row], names: Sequence[str], epochs: int) -> None:
+    """Check that rows are those of a group's runs, of all epochs, in order.
+
+    Args:
+        rows: which may come from anybody.
+        names: of the runs.
+        epochs: that they have done.
+
+    Raises:
+        ValueError, KeyError: they are not.
+    """
+    for row in rows:
+        check_row(row)
+    if len(rows) == epochs * len(names):  # or else there might be no end to what is expected
+        expected = [(name, epoch) for epoch in range(1, epochs + 1) for name in names]
+        if [(row["run"], row["epoch"]) for row in rows] == expected:
+            return
+    raise ValueError("they are not one for each of its runs and epochs")
 
 
 def to_csv(rows: Sequence[Row]) -> str:

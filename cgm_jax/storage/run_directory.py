@@ -8,6 +8,7 @@ DIR/figures/*.png         and best_policy.gif, where a tracker is to have it
 DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
+DIR/launch.json           what was launched in parts, of which parts/, attempts/ and logs/ are
 
 A directory may come from anybody. Nothing in it leads out of it, neither a name in its config nor a
 symbolic link; and code that its config names runs only if the user has named it (config/named.py).
@@ -38,7 +39,7 @@ from cgm_jax.storage.checkpoints import epochs_begun, restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.lock import HOLDER, LOCK, locked
-from cgm_jax.storage.metrics import Row, to_csv, to_lines
+from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.provenance import changes, moved_path, provenance
 
 START = "start.npz"
@@ -47,6 +48,7 @@ CONFIG = "config.json"
 PARTS = (
     *(CONFIG, START, METRICS, TABLE, LOCK, HOLDER),
     *("policies", "figures", "checkpoints", "tracking"),
+    *("launch.json", "parts", "attempts", "logs"),
 )
 
 WANDB_LOG = "debug-core.log"
@@ -361,6 +363,22 @@ class RunDirectory:
         with (self.path / METRICS).open(encoding="utf-8") as file:
             return [json.loads(line) for line in file if line.endswith("\n")]
 
+    def checked_metrics(self) -> list[Row]:
+        """The same, of a directory that may come from anybody.
+
+        Raises:
+            SettingError: they cannot be read, or are not such as a sweep writes.
+        """
+        try:
+            rows = self.metrics()
+            for row in rows:
+                check_row(row)
+            if not rows:
+                raise ValueError("it has no row")
+        except (OSError, *UNREADABLE) as error:
+            raise _damaged(self.path / METRICS, error) from None
+        return rows
+
     def has_csv(self) -> bool:
         """Whether metrics.csv has been asked for before."""
         return (self.path / TABLE).exists()
@@ -542,7 +560,8 @@ def _check_parts(path: Path) -> None:
         for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
             for name in (*folders, *files):
                 found = Path(folder) / name
-                if part == "tracking" and name == WANDB_LOG and Path(folder).name == "logs":
+                kept = found.relative_to(path).parts
+                if name == WANDB_LOG and Path(folder).name == "logs" and "tracking" in kept:
                     continue
                 try:
                     mode = found.lstat().st_mode

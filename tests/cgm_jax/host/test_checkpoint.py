@@ -16,7 +16,7 @@ from cgm_jax.host import checkpoint
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
-from cgm_jax.storage.checkpoints import FORMAT
+from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoints
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
@@ -130,6 +130,18 @@ def test_a_checkpoint_that_was_never_finished_does_not_count(
     training, notes = load(tmp_path)
     assert training.epoch == 1
     assert notes == []
+
+
+def test_files_that_are_no_checkpoints_are_nobodys_business(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    kept = save(tmp_path, state, epoch=3)
+    for name in ("group0_epochx_cycley", f"group0_epoch{'9' * 200}_cycle0", "group0_epoch_cycle"):
+        for suffix in (".npz", ".json"):
+            (tmp_path / f"{name}{suffix}").write_bytes(kept.with_suffix(suffix).read_bytes())
+    assert finished_checkpoints(tmp_path) == finished_checkpoints(tmp_path, 0) == [kept]
+    assert epochs_begun(tmp_path) == 3
+    assert load(tmp_path)[0].epoch == 3
 
 
 def test_no_checkpoint_is_the_beginning(tmp_path: Path) -> None:

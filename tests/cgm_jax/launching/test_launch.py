@@ -19,6 +19,7 @@ from cgm_jax.launching import local, ray, slurm
 from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.progress import JointProgress, Rows
+from cgm_jax.launching.record import last_code, position
 from cgm_jax.launching.slurm import sbatch_options
 from cgm_jax.storage.lock import InUseError, locked
 from cgm_jax.storage.metrics import to_lines
@@ -32,9 +33,10 @@ from tests.cgm_jax.launching.launches import (
     wait_for_checkpoint,
     wait_until,
 )
-from tests.cgm_jax.sweeps import POINT_MASS, rows
+from tests.cgm_jax.sweeps import POINT_MASS, ROOT, rows
 
 SMOKE = ["--", "--preset", "smoke"]
+MY_TRACKER = ROOT / "tests/examples/my_tracker.py"
 
 
 @pytest.fixture
@@ -155,6 +157,102 @@ def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
     with pytest.raises(SettingError, match="has changed since you named it"):
         program.main(["--resume", "out"])
     assert len(planned) == 2
+
+
+def test_a_launch_from_elsewhere_runs_no_tracker_that_was_not_named(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran, tracker = folder / "ran", folder / "elsewhere_tracker.py"
+    tracker.write_text(
+        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n{MY_TRACKER.read_text()}"
+    )
+    own = f"{tracker}:TextFile"
+    theirs = Launch(folder / "out", "local", 2, "smoke", ("--track", own), Resources())
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=r"^track: .* was never named by you .* --track"):
+        program.main(["--resume", "out"])
+    assert not ran.exists()
+    assert program.main(["--resume", "out", "--", "--track", own]) == 0
+    assert ran.exists()
+    monkeypatch.setattr(named, "_named_now", set())  # as in a new process
+    assert program.main(["--resume", "out"]) == 0
+    assert len(planned) == 2
+
+
+def test_a_neighbour_of_a_named_file_does_not_run_for_a_launch_once_it_was_edited(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(POINT_MASS.partition(":")[0], "launched_neighbour.py")
+    (folder / "x.py").write_text("from launched_neighbour import PointMass\n")
+    words = [*SMOKE, "--env", f"{folder}/x.py:PointMass"]
+    assert program.main(["--jobs", "2", "--out", "out", *words]) == 0
+    (folder / "launched_neighbour.py").write_text("raise RuntimeError('it runs')\n")
+    monkeypatch.setattr(named, "_named_now", set())
+    with pytest.raises(SettingError, match=r"launched_neighbour.py has changed since you named"):
+        program.main(["--resume", "out"])
+    assert len(planned) == 1
+
+
+def test_a_launch_from_elsewhere_connects_to_no_cluster_that_was_not_named(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = "ray://elsewhere:10001"
+    theirs = Launch(folder / "out", "ray", 2, "smoke", (), Resources(address=address))
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=f"address: .* if you trust it, .*--address {address}"):
+        program.main(["--resume", "out"])
+    monkeypatch.setattr(program, "_engine", lambda launch: None)
+    assert program.main(["--resume", "out", "--address", address]) == 0
+    assert planned[0].resources.address == address
+    assert program._how_to_resume(planned[0]).endswith(f"/out --address {address}")
+
+
+@pytest.mark.parametrize("part", ["attempts/1.jsonl", "logs/1.log", "parts", "launch.json"])
+def test_no_link_in_a_launch_leads_out_of_it(
+    part: str, folder: Path, planned: list[Launch]
+) -> None:
+    launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
+    launch.path.mkdir()
+    launch.write()
+    link, target = launch.path / part, folder / "theirs"
+    if link.exists():
+        link.rename(target)
+    link.symlink_to(target)
+    with pytest.raises(SettingError, match=f"{part} is a symbolic link"):
+        program.main(["--resume", "out"])
+    assert not planned
+
+
+ROWS = {
+    "": "it has no row",
+    "5\n": "TypeError",
+    "{}\n": "KeyError: 'run'",
+    "[" * 10**5 + "\n": "RecursionError",
+    '{"run": "a", "epoch": 1, "success_rate": "high"}\n': "success_rate: 'high' in a row",
+}
+
+
+@pytest.mark.parametrize("text", ROWS)
+def test_a_merged_launch_with_damaged_metrics_is_refused(folder: Path, text: str) -> None:
+    launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
+    launch.path.mkdir()
+    launch.write()
+    (launch.path / "config.json").write_text("{}")
+    (launch.path / "metrics.jsonl").write_text(text)
+    with pytest.raises(SettingError, match=f"metrics.jsonl is damaged: .*{ROWS[text]}"):
+        program.main(["--resume", "out"])
+
+
+def test_what_is_no_checkpoint_or_no_event_is_passed_over(folder: Path) -> None:
+    (folder / "checkpoints").mkdir()
+    for name in ("group0_epochx_cycley", "group0_epoch000001_cycle000002", f"group{'9' * 5000}"):
+        (folder / "checkpoints" / f"{name[:200]}.json").touch()
+    assert position(folder) == [0, 1, 2]
+    record = folder / "record"
+    record.write_text('{"event": "ended", "code": "high"}\n' + "[" * 10**5 + "\n")
+    assert last_code(record) is None
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
 """Parts of a sweep, made up, put together; real ones are in launching/test_local.py."""
 
 import hashlib
+import io
 import json
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -177,7 +179,60 @@ def test_damaged_and_foreign_checkpoints_are_refused(parts: list[Path], tmp_path
     own = [row(whole()[0].runs[2], epoch) for epoch in (1, 2)]
     checkpoint(last.parent, 0, own, EPOCHS, b"{}")
     line = refused(tmp_path, *parts, "--out", tmp_path / "out")
-    assert line.endswith("holds rows of other runs")
+    assert line.endswith(
+        "holds rows of other runs: they are not one for each of its runs and epochs"
+    )
+
+
+@pytest.mark.parametrize(
+    ("array", "content", "line"),
+    [
+        ("rows", b"{}\n", "holds rows of other runs: 'run'"),
+        ("rows", b"", "holds rows of other runs: they are not one for each"),
+        ("rows", b"\xff\n", "is no checkpoint: "),
+        ("position", np.array([10**17, 0]), "holds rows of other runs: they are not one for each"),
+        ("position", np.array(1), "is no checkpoint: "),
+        ("position", np.array(["x", "y"]), "is no checkpoint: "),
+    ],
+)
+def test_forged_checkpoints_are_refused(
+    array: str, content: Any, line: str, parts: list[Path], tmp_path: Path
+) -> None:
+    (last,) = finished_checkpoints(parts[0] / "checkpoints")
+    with np.load(last) as file:
+        arrays = dict(file)
+    arrays[array] = np.frombuffer(content, np.uint8) if isinstance(content, bytes) else content
+    with last.open("wb") as file:
+        write_arrays(file, arrays.items())
+    data = last.read_bytes()
+    write_manifest(last, hashlib.sha256(data).hexdigest(), len(data), b"{}")
+    assert f"{last} {line}" in refused(tmp_path, *parts, "--out", tmp_path / "out")
+
+
+def test_what_is_no_archive_and_what_claims_terabytes_are_refused(
+    parts: list[Path], tmp_path: Path
+) -> None:
+    (last,) = finished_checkpoints(parts[0] / "checkpoints")
+    bomb = io.BytesIO()
+    header = {"descr": "|u1", "fortran_order": False, "shape": (10**13,)}
+    np.lib.format.write_array_header_1_0(bomb, header)
+    for content in (None, bomb.getvalue()):
+        if content is None:
+            last.write_bytes(b"no archive")
+        else:
+            with zipfile.ZipFile(last, "w") as archive:
+                archive.writestr("position.npy", content)
+        data = last.read_bytes()
+        write_manifest(last, hashlib.sha256(data).hexdigest(), len(data), b"{}")
+        line = refused(tmp_path, *parts, "--out", tmp_path / "out")
+        assert f"{last} is no checkpoint: {last} is no file of arrays" in line
+
+
+def test_a_part_without_a_policy_is_refused_by_name(parts: list[Path], tmp_path: Path) -> None:
+    gone = next((parts[1] / "policies").glob("*.npz"))
+    gone.unlink()
+    line = refused(tmp_path, *parts, "--out", tmp_path / "out")
+    assert line.startswith(f"{gone} is missing; resume it: ")
 
 
 def test_a_merge_that_was_killed_leaves_nothing_in_the_way(

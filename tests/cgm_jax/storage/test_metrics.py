@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgm_jax.storage.metrics import from_lines, plain_row, to_csv, to_lines
+from cgm_jax.storage.metrics import check_row, check_rows, from_lines, plain_row, to_csv, to_lines
 
 ROW = plain_row(
     {
@@ -56,6 +56,52 @@ def test_rows_become_lines_of_json_and_lines_the_same_rows() -> None:
 def test_a_line_that_is_no_object_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match=r".+"):
         from_lines([LINE, line])
+
+
+WHOLE = {
+    "run": "a",
+    "epoch": 1,
+    "success_rate": None,
+    "physics_warnings": 0,
+    "failed_epoch": None,
+    "failure": None,
+}
+
+
+def test_rows_are_those_of_each_run_and_epoch_in_order() -> None:
+    rows = [{**WHOLE, "run": run, "epoch": epoch} for epoch in (1, 2) for run in ("a", "b")]
+    check_rows(rows, ["a", "b"], 2)
+    check_rows([], ["a", "b"], 0)
+    for others, names, epochs in [
+        (rows, ["b", "a"], 2),
+        (rows[:3], ["a", "b"], 2),
+        (rows, ["a", "b"], 3),
+        (rows, ["a", "b"], 10**18),
+        ([rows[2], rows[3], rows[0], rows[1]], ["a", "b"], 2),
+    ]:
+        with pytest.raises(ValueError, match="not one for each of its runs and epochs"):
+            check_rows(others, names, epochs)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("run", 5),
+        ("run", ["a"]),
+        ("epoch", True),
+        ("epoch", 1.0),
+        ("success_rate", "1"),
+        ("physics_warnings", None),
+        ("failure", 3),
+        ("failed_epoch", "x"),
+        ("swept", "seed"),
+        ("reported", [1]),
+    ],
+)
+def test_a_row_such_as_no_sweep_writes_is_refused(name: str, value: object) -> None:
+    check_row(WHOLE)
+    with pytest.raises(ValueError, match=f"^{name}: .* in a row$"):
+        check_row({**WHOLE, name: value})
 
 
 def test_a_table_has_a_cell_per_number_and_a_word_per_swept_setting() -> None:
