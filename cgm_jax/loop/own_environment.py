@@ -151,7 +151,8 @@ def checked(env: Any, name: str) -> GoalEnvironment:
         missing = [attribute for attribute in PROTOCOL if not hasattr(env, attribute)]
     if missing:
         raise SettingError(f"env: {name} lacks {', '.join(missing)}; see envs.GoalEnvironment")
-    own = OwnEnvironment(env, name)
+    with user_code("env", name):  # whatever it says of names that it need not have
+        own = OwnEnvironment(env, name)
     _check_shapes(own, env, name)
     own.is_large = _operations(own) > FEW_OPERATIONS
     if not own.is_large:
@@ -271,7 +272,7 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
     _check_entries(second, f"step of {name}")
     _check_alike(first.state, _with_unread_of(first.state, second), name, "step")
     _check_rules(own, name, first)
-    if hasattr(env, "restart"):
+    if hasattr(own, "restart"):
         with user_code("env", f"restart of {name}"):
             again = jax.eval_shape(env.restart, first.state)
         _check_entries(again, f"restart of {name}")
@@ -352,13 +353,16 @@ def _check_values(own: OwnEnvironment, name: str) -> None:
         SettingError: they fail, or the goal does not stay, or is too large for its threshold.
     """
 
-    @jax.jit
-    def run(key: jax.Array) -> Any:
-        first = own.reset(key)
-        return first.obs, own.step(first, jnp.zeros(own.action_size)).obs
+    def run() -> Any:
+        @jax.jit  # anew, so that the user's functions are called again
+        def first_two(key: jax.Array) -> Any:
+            first = own.reset(key)
+            return first.obs, own.step(first, jnp.zeros(own.action_size)).obs
 
-    with user_code("env", f"running reset and step of {name}"):
-        states = jax.tree.map(np.asarray, jax.block_until_ready(run(jax.random.key(0))))
+        with user_code("env", f"running reset and step of {name}"):
+            return jax.tree.map(np.asarray, jax.block_until_ready(first_two(jax.random.key(0))))
+
+    states = run()
     for function, obs in zip(("reset", "step"), states, strict=True):
         for entry in ENTRIES:
             if not np.isfinite(obs[entry]).all():
@@ -375,6 +379,12 @@ def _check_values(own: OwnEnvironment, name: str) -> None:
         raise SettingError(
             f"env: distance_threshold of {name}, {own.distance_threshold:g}, is less than float32 "
             f"can tell apart at a desired_goal of {largest:g}"
+        )
+    again = jax.tree.map(np.array_equal, states, run())
+    if not all(jax.tree.leaves(again)):
+        own.remarks.append(
+            f"reset and step of {name} give other values for the same key and action; "
+            "what is trained with them cannot be repeated, nor resumed to the same bits"
         )
 
 

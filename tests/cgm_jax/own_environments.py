@@ -5,6 +5,7 @@
 # pyright: reportArgumentType=false, reportIndexIssue=false, reportOptionalSubscript=false
 # pyright: reportGeneralTypeIssues=false
 
+import random
 import sys
 from typing import Any
 
@@ -147,6 +148,32 @@ class OtherMemoryAfterStep(Base):
 
     def step(self, state: State, action: jax.Array) -> State:
         return super().step(state, action).replace(info={"past": jnp.zeros(4)})
+
+
+class Drawn(Base):
+    """Starts are drawn by a generator of its own, when it is traced."""
+
+    def reset(self, rng: jax.Array) -> State:
+        return super().reset(jax.random.fold_in(rng, random.getrandbits(31)))
+
+
+class DrawnOnTheHost(Base):
+    """Its steps are drawn outside JAX."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        def noise(_: np.ndarray) -> np.ndarray:
+            return np.random.default_rng().random(2, np.float32)
+
+        shape = jax.ShapeDtypeStruct((2,), np.float32)
+        drawn = jax.pure_callback(noise, shape, action, vmap_method="sequential")
+        return super().step(state, action + drawn)
+
+
+class Talkative(Base):
+    """Whatever it is asked for that it has not, it says so in its own way."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise RuntimeError(f"what is {name}?")
 
 
 class MovingGoal(Base):

@@ -82,6 +82,7 @@ REFUSED = {
     "BranchesOnValues": "step of {} fails with TracerBoolConversionError: Attempted boolean",
     "ResetExits": "reset of {} fails with SystemExit: enough",
     "PropertyFails": "{} fails with RuntimeError: not known",
+    "Talkative": "{} fails with RuntimeError: what is restart?",
     "NoMapping": "jax.vmap over reset and step of {} fails with NotImplementedError",
     "NoSteps": "episode_length of {} is 0, not within [1, 1,000,000]",
     "BooleanSize": "action_size of {} is True, not a whole number",
@@ -97,7 +98,10 @@ REFUSED = {
     "TooSmallThreshold": "distance_threshold of {} is 1e-30, not within [1e-15, 1e+15]",
     "nothing": "{} lacks reset, step, action_size, episode_length, distance_threshold",
 }
-WITH_A_LINE = ("StepFails", "BranchesOnValues", "ResetExits", "PropertyFails", "NoMapping")
+WITH_A_LINE = (
+    *("StepFails", "BranchesOnValues", "ResetExits", "PropertyFails", "NoMapping"),
+    "Talkative",
+)
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -157,6 +161,12 @@ def test_values_that_are_not_finite_are_remarked_on() -> None:
     assert remarks_on(own("Base")) == []
     (remark,) = remarks_on(own("NeverValid"))
     assert remark.startswith("observation is not finite after reset of ")
+
+
+@pytest.mark.parametrize("name", ["Drawn", "DrawnOnTheHost"])
+def test_what_cannot_be_repeated_is_remarked_on(name: str) -> None:
+    (remark,) = remarks_on(own(name))
+    assert remark.startswith(f"reset and step of {OWN}:{name} give other values for the same key")
 
 
 def test_settings_of_the_fetch_tasks_are_refused_for_other_environments(tmp_path: Path) -> None:
