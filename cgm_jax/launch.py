@@ -9,13 +9,14 @@ from pathlib import Path
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import piece
-from cgm_jax.host.command_line import owns_process, parse, run_program, shell_command
+from cgm_jax.host.command_line import owns_process, parse, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import conclude, new_directory
 from cgm_jax.launching.directory import ANY_CLUSTER, LAUNCH, Launch, absolute_path
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
+from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.merging import differences, read_parts, write_merged
 from cgm_jax.storage.run_directory import RunDirectory
 

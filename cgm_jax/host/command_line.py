@@ -10,7 +10,6 @@ import dataclasses
 import io
 import math
 import re
-import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
@@ -258,16 +257,6 @@ def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
     shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
     print(f"error: {shown}", file=sys.stderr)
     sys.exit(code)
-
-
-def shell_command(program: str, *arguments: str | Path) -> str:
-    """A command line that runs a program of this package as it is, from any directory.
-
-    Paths become absolute, everything is quoted, and the interpreter is the one that runs now.
-    """
-    words = [Path(word).absolute() if isinstance(word, Path) else word for word in arguments]
-    interpreter = sys.executable or "python"
-    return shlex.join([interpreter, "-m", program, *(str(word) for word in words)])
 
 
 def _first_paragraph(box: str) -> str:

@@ -10,7 +10,7 @@ from cgm_jax.config.grid import Group, Run, structure
 from cgm_jax.config.presets import Grid
 from cgm_jax.config.settings import Settings
 from cgm_jax.config.spelling import spelled
-from cgm_jax.host.command_line import shell_command
+from cgm_jax.machine.commands import shell_command
 
 MAX_SHOWN = 3
 """Settings that a line names; of the values of each as many."""

@@ -15,7 +15,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import TrainingOptions, owns_process, shell_command
+from cgm_jax.host.command_line import TrainingOptions, owns_process
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import (
     check_devices,
@@ -29,6 +29,7 @@ from cgm_jax.host.extension import extended
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.tracking import Tracking, find_tracker
 from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_origin

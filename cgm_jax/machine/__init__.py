@@ -1,4 +1,5 @@
 """What this process was given, which any room may ask; only Python's own library is imported here.
 
 allotment.py  cores and memory: a container, a batch system or an affinity mask may limit them
+commands.py   commands to be typed as they are printed
 """

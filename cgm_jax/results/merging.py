@@ -20,6 +20,7 @@ import numpy as np
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.shards import Shard
+from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.storage.arrays import read_shapes
 from cgm_jax.storage.checkpoints import (
@@ -156,7 +157,7 @@ def _unfinished(path: Path, epoch: int, epochs: int) -> SettingError:
 
 
 def _resume(path: Path) -> str:
-    return f"resume it: python -m cgm_jax.sweep --resume {path}"
+    return f"resume it: {shell_command('cgm_jax.sweep', '--resume', path)}"
 
 
 def differences(parts: Sequence[Part]) -> list[str]:

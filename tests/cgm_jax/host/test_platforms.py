@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import cgm_jax
-from cgm_jax.host.command_line import shell_command
 from cgm_jax.host.session import new_directory
+from cgm_jax.machine.commands import shell_command
 from tests.cgm_jax.sweeps import POINT_MASS, ROOT
 
 # No fcntl, no home, no entry in passwd, plain ASCII output, three signals and poll missing.

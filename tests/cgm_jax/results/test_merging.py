@@ -4,6 +4,7 @@ import hashlib
 import io
 import json
 import re
+import shlex
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -226,6 +227,16 @@ def test_what_is_no_archive_and_what_claims_terabytes_are_refused(
         write_manifest(last, hashlib.sha256(data).hexdigest(), len(data), b"{}")
         line = refused(tmp_path, *parts, "--out", tmp_path / "out")
         assert f"{last} is no checkpoint: {last} is no file of arrays" in line
+
+
+def test_the_printed_command_works_as_it_is_from_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    short = train(Path("my part"), whole(), 1, 1, until=1)
+    line = refused(tmp_path, short, "--out", tmp_path / "out")
+    command = shlex.split(line.partition("resume it: ")[2])
+    assert command[1:] == ["-m", "cgm_jax.sweep", "--resume", str(tmp_path / "my part")]
 
 
 def test_a_part_without_a_policy_is_refused_by_name(parts: list[Path], tmp_path: Path) -> None:
