@@ -56,7 +56,11 @@ The loop knows environments only through `envs.GoalEnvironment`. Importing the p
 the Fetch tasks with Gymnasium (gymnasium/registration.py).
 """
 
-from cgm_jax.gymnasium.registration import register_fetch as _register_fetch
+from cgm_jax.host.early_signals import end_on_early_signals as _end_on_early_signals
+
+_end_on_early_signals()  # before anything that takes a moment to import
+
+from cgm_jax.gymnasium.registration import register_fetch as _register_fetch  # noqa: E402
 
 _register_fetch()
 

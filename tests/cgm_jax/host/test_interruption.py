@@ -1,9 +1,11 @@
 """Signals to small programs that stand for a sweep at its several stages."""
 
+import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -109,6 +111,52 @@ def test_inside_somebody_elses_program_nothing_is_ended() -> None:
     )
     assert error.endswith("KeyboardInterrupt\n")
     assert (code, out) == (-signal.SIGINT, "")
+
+
+CAREFREE_IMPORT = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "gymnasium":  # the first import that takes a moment
+            try:
+                os.kill(os.getpid(), int(os.environ["NUMBER"]))
+                sum(range(10**5))
+            except BaseException:
+                pass
+if os.environ.get("IGNORED"):
+    signal.signal(int(os.environ["NUMBER"]), signal.SIG_IGN)
+sys.meta_path.insert(0, Finder())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *WARNINGS])
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_signal_during_imports_ends_the_program_and_is_not_lost(
+    number: int, ignored: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(CAREFREE_IMPORT)
+    result = subprocess.run(
+        [sys.executable, "-m", "cgm_jax.export", "--help"],
+        capture_output=True,
+        text=True,
+        env={
+            "PATH": os.environ["PATH"],
+            "PYTHONPATH": f"{tmp_path}:{ROOT}",
+            "NUMBER": str(int(number)),
+            "IGNORED": "1" if ignored else "",
+        },
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (0 if ignored else 75, "")
+    assert bool(result.stdout) is ignored
+
+
+def test_signals_of_somebody_elses_program_are_left_alone() -> None:
+    program = "import signal, cgm_jax; print(signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)"
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert result.stdout == "True\n"
 
 
 def test_without_a_signal_nothing_happens() -> None:
