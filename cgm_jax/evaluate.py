@@ -5,7 +5,6 @@ which comes with the package. `--video` also writes a video of the best one, `--
 MuJoCo's viewer; `--random` evaluates random actions, not policies.
 """
 
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,13 @@ import tyro
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
-from cgm_jax.host.command_line import name_own_code, owns_process, parse, run_program
+from cgm_jax.host.command_line import (
+    name_own_code,
+    owns_process,
+    parse,
+    print_restored,
+    run_program,
+)
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.pretrained import NAMES as PRETRAINED
@@ -179,7 +184,6 @@ def _plan(options: EvaluateOptions) -> Plan:
 def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
     from cgm_jax.host.progress import CountProgress
     from cgm_jax.results.policies import evaluate_policies, evaluate_random
-    from cgm_jax.storage.run_directory import RunDirectory
 
     named = named_code(options)
     if options.random:
@@ -187,12 +191,8 @@ def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
             settings = Settings(env=named["env"][0])
             return {"random": evaluate_random(settings, plan, progress.show)}
     source = options.source
-    if (
-        source is not None
-        and source.is_dir()
-        and (restored := RunDirectory(source).restore_config()) is not None
-    ):
-        print(restored, file=sys.stderr)
+    if source is not None and source.is_dir():
+        print_restored(source)
     policies = chosen_policies(source, options.pretrained, options.run, named)
     with CountProgress("episodes") as progress:
         return evaluate_policies(policies, plan, progress.show)

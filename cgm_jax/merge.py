@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host.command_line import owns_process, parse, run_program
+from cgm_jax.host.command_line import owns_process, parse, print_restored, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import conclude
@@ -45,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with Interruption(ends_process=owns_process(), first_words="stopping", last_words="stopped"):
         if out.exists() or out.is_symlink():
             raise SettingError(f"out: {out} exists already; name another directory")
+        for path in options.directories:
+            print_restored(path)
         parts = read_parts(options.directories)
         if names := differences(parts):
             print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host.command_line import owns_process, parse, run_program
+from cgm_jax.host.command_line import owns_process, parse, print_restored, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 
@@ -88,6 +88,8 @@ def _check(options: ReportOptions) -> None:
 def _read(paths: Sequence[Path]) -> "list[Sweep]":
     from cgm_jax.results.page.sweeps import read_sweep
 
+    for path in paths:
+        print_restored(path)
     return [read_sweep(path) for path in paths]
 
 

@@ -115,6 +115,23 @@ def load_checkpoint(
     return None, notes
 
 
+def check_last_checkpoint(directory: Path, group: int, like: TrainingState) -> None:
+    """Check what can be checked of a group's last checkpoint without reading its arrays.
+
+    What may be damage is left to `load_checkpoint`, which takes the one before.
+
+    Raises:
+        SettingError: as `load_checkpoint`.
+    """
+    for path in finished_checkpoints(directory, group)[-1:]:
+        format_of(path)
+        try:
+            _check_shapes(path, like)
+        except SettingError:
+            if damage(path) is None:
+                raise
+
+
 def _remove_old(directory: Path, group: int) -> None:
     """Remove all but the last checkpoints, and what a killed process left half written."""
     kept = finished_checkpoints(directory, group)[-KEPT:]
@@ -173,6 +190,28 @@ def _filled(state: TrainingState) -> int:
 
 def _read(path: Path, like: TrainingState) -> TrainingProgress:
     """Read a checkpoint whose checksum is right, which does not mean that it is ours."""
+    _check_shapes(path, like)
+    with np.load(path, allow_pickle=False) as file:
+        epoch, cycle = (int(number) for number in file["position"])
+        rows = _rows(path, bytes(file["rows"]))
+        if min(epoch, cycle) < 0:
+            raise _foreign(path)
+        leaves, structure = jax.tree.flatten(like)
+        names = [name for name, _ in named_leaves(like)]
+        restored = [
+            restore_leaf(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)
+        ]
+        state = jax.tree.unflatten(structure, restored)
+        runs = len(jax.tree.leaves(like)[0])
+        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs)
+
+
+def _check_shapes(path: Path, like: TrainingState) -> None:
+    """Check that a checkpoint has the arrays of such a state.
+
+    Raises:
+        SettingError: it has not.
+    """
     try:
         stored = read_shapes(path)
     except ValueError as error:
@@ -190,19 +229,6 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
             fits = shape is None or actual == shape
         if not fits or kind != dtype:
             raise _foreign(path)
-    with np.load(path, allow_pickle=False) as file:
-        epoch, cycle = (int(number) for number in file["position"])
-        rows = _rows(path, bytes(file["rows"]))
-        if min(epoch, cycle) < 0:
-            raise _foreign(path)
-        leaves, structure = jax.tree.flatten(like)
-        names = [name for name, _ in named_leaves(like)]
-        restored = [
-            restore_leaf(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)
-        ]
-        state = jax.tree.unflatten(structure, restored)
-        runs = len(jax.tree.leaves(like)[0])
-        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs)
 
 
 def _rows(path: Path, text: bytes) -> list[Row]:

@@ -36,6 +36,7 @@ from cgm_jax.host.setting_options import (
 )
 from cgm_jax.host.streams import make_streams_harmless
 from cgm_jax.storage.lock import InUseError
+from cgm_jax.storage.run_directory import RunDirectory
 
 DEFAULT_CHECKPOINT_SECONDS = 300.0
 """A checkpoint of a large sweep is gigabytes; this loses at most five minutes."""
@@ -244,6 +245,16 @@ def run_program(main: Callable[[], int]) -> NoReturn:
         refuse(str(error), ExitCode.IN_USE)
     except KeyboardInterrupt:
         sys.exit(ExitCode.STOPPED)
+
+
+def print_restored(directory: Path) -> None:
+    """Bring a run directory's lost or torn config.json back, if a checkpoint has it, and say so.
+
+    Raises:
+        SettingError: it cannot be written, or a part of the directory leads elsewhere.
+    """
+    if (line := RunDirectory(directory).restore_config()) is not None:
+        print(line, file=sys.stderr)
 
 
 def owns_process() -> bool:

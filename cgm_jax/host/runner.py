@@ -12,7 +12,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
 from cgm_jax.config.settings import Hyperparameters, Settings
-from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint
+from cgm_jax.host.checkpoint import TrainingProgress, check_last_checkpoint, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import PATIENCE_SECONDS, Interruption
 from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
@@ -25,6 +25,7 @@ from cgm_jax.loop.devices import Device, share
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.own_components import check_components
+from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
@@ -177,11 +178,25 @@ def run_jobs(
     return last
 
 
+def check_last_checkpoints(jobs: Sequence[Job], directory: RunDirectory) -> None:
+    """Check the jobs' last checkpoints before anything is recorded of resuming from them.
+
+    Raises:
+        SettingError: one holds the state of another program, or is of another version.
+    """
+    for index, job in enumerate(jobs):
+        check_last_checkpoint(directory.path / "checkpoints", index, _shapes(job))
+
+
+def _shapes(job: Job) -> TrainingState:
+    """The training state of a job's runs, as mere shapes."""
+    return jax.eval_shape(jax.vmap(job.programs.trainer.init), job.group.hyper())
+
+
 def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
     """A job's last checkpoint, or its beginning."""
     hyper = job.group.hyper()
-    like = jax.eval_shape(jax.vmap(job.programs.trainer.init), hyper)
-    training, notes = load_checkpoint(directory.path / "checkpoints", index, like)
+    training, notes = load_checkpoint(directory.path / "checkpoints", index, _shapes(job))
     if training is not None:
         try:
             names = [run.name for run in job.group.runs]

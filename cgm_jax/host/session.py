@@ -15,7 +15,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import TrainingOptions, owns_process
+from cgm_jax.host.command_line import TrainingOptions, owns_process, print_restored
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import (
     check_devices,
@@ -58,9 +58,8 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         if options.track is not None:
             find_tracker(options.track)
         moved = {}
-        restored = None if out is None or options.dry_run else RunDirectory(out).restore_config()
-        if restored is not None:
-            print(restored, file=sys.stderr)
+        if out is not None and not options.dry_run:
+            print_restored(out)
         if asked.groups is None and out is not None:
             # What own code the user names goes with what the directory holds.
             named = {kind: asked.chosen.get(kind, ()) for kind in NAMES}
@@ -71,7 +70,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         import jax
 
         from cgm_jax.host.dry_run import show_plan
-        from cgm_jax.host.runner import plan_jobs
+        from cgm_jax.host.runner import check_last_checkpoints, plan_jobs
 
         check_devices(devices)
         jobs, notes = plan_jobs(to_train, jax.devices()[:devices], planned=recorded is not None)
@@ -92,6 +91,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                     groups = [job.group for job in jobs]
                     directory.write_config(groups, asked.preset, device, asked.shard, asked.origin)
                 else:
+                    check_last_checkpoints(jobs, directory)
                     notes += _notes_on_resuming(directory, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
                 return _train(jobs, directory, interruption, options, shown, progress, tracking)

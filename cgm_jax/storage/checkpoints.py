@@ -144,6 +144,11 @@ def restore_config(config: Path, checkpoints: Path) -> str | None:
     return None
 
 
+def holds_config(checkpoints: Path) -> bool:
+    """Whether a lost config.json would be restored from one of these checkpoints."""
+    return any(_carried_config(path) for path in finished_checkpoints(checkpoints))
+
+
 def _holds_object(path: Path) -> bool:
     try:
         return isinstance(json.loads(path.read_bytes()), dict)

@@ -35,7 +35,7 @@ from cgm_jax.config.named import absolute, is_own, require_named
 from cgm_jax.config.run_names import MAX_NAME
 from cgm_jax.config.shards import Shard
 from cgm_jax.storage.arrays import write_arrays
-from cgm_jax.storage.checkpoints import epochs_begun, restore_config
+from cgm_jax.storage.checkpoints import epochs_begun, holds_config, restore_config
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.lock import HOLDER, LOCK, locked
@@ -321,7 +321,10 @@ class RunDirectory:
         return _read_config(self.path / CONFIG)
 
     def _damaged(self, error: Exception) -> SettingError:
-        return _damaged(self.path / CONFIG, error)
+        damaged = _damaged(self.path / CONFIG, error)
+        if not holds_config(self.path / "checkpoints"):
+            return damaged
+        return SettingError(f"{damaged}; without this file it comes back from a checkpoint")
 
     def append_metrics(self, rows: Sequence[Row]) -> None:
         """Add rows to metrics.jsonl.

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from cgm_jax import report
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.results.page.page import unpacked
+from cgm_jax.storage.checkpoints import write_manifest
 from tests.cgm_jax.results.page.made import directory, follow_on, grid, timed_run
 from tests.cgm_jax.sweeps import ROOT
 
@@ -107,6 +109,24 @@ def test_bad_directories_are_refused_with_one_line(
         report.main([str(path)])
     assert message in str(refused.value)
     assert not (path / "report.html").exists()
+
+
+def test_a_torn_config_comes_back_from_a_checkpoint(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = directory(tmp_path / "run", timed_run([0.0, 0.5]))
+    config = (path / "config.json").read_bytes()
+    checkpoint = path / "checkpoints/group0_epoch000001_cycle000000.npz"
+    checkpoint.parent.mkdir(exist_ok=True)
+    checkpoint.write_bytes(b"whole")
+    write_manifest(checkpoint, sha256(b"whole").hexdigest(), len(b"whole"), config)
+    (path / "config.json").write_bytes(config[:50])
+    assert report.main([str(path)]) == 0
+    assert f"restored from {checkpoint}" in capsys.readouterr().err
+    assert (path / "config.json").read_bytes() == config
+    (path / "config.json").write_text("{}")  # somebody may have edited it
+    with pytest.raises(SettingError, match=r"damaged: .*; without this file it comes back from a"):
+        report.main([str(path)])
 
 
 def test_bad_options_are_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import contextlib
 import csv
 import dataclasses
 import functools
+import hashlib
 import io
 import json
 import os
@@ -519,6 +520,32 @@ def test_more_epochs_give_the_bits_of_a_sweep_that_was_asked_for_them_from_the_s
     if not stopped:
         rates = [row["success_rate"] for row in rows(out)]
         assert [float(row["success_rate"]) for row in table(out)] == rates
+
+
+@pytest.mark.parametrize("damage", ["array", "archive", "format"])
+def test_a_checkpoint_that_is_refused_leaves_the_directory_as_it_is(
+    damage: str, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    path = max((out / "checkpoints").glob("*.npz"))
+    manifest = path.with_suffix(".json")
+    if damage == "array":
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        del arrays[".env_steps"]
+        with path.open("wb") as file:
+            np.savez(file, **arrays)
+    elif damage == "archive":
+        path.write_bytes(b"whole, but no archive")
+    digest, size = hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_size
+    entry = json.loads(manifest.read_text()) | {"sha256": digest, "bytes": size}
+    manifest.write_text(json.dumps(entry | ({"format": 99} if damage == "format" else {})))
+    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    with pytest.raises(SettingError, match=r"^resume: .*npz (is|holds) "):
+        sweep.main(["--resume", str(out), "--epochs", "9"])
+    after = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    assert {one.name for one in after if after[one] != before.get(one)} <= {"holder"}
 
 
 def table(out: Path) -> list[dict[str, str]]:

@@ -239,6 +239,16 @@ def test_the_printed_command_works_as_it_is_from_anywhere(
     assert command[1:] == ["-m", "cgm_jax.sweep", "--resume", str(tmp_path / "my part")]
 
 
+def test_a_torn_config_comes_back_from_a_checkpoint(
+    parts: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = (parts[1] / "config.json").read_bytes()
+    (parts[1] / "config.json").write_bytes(config[:50])
+    assert run(*parts, "--out", tmp_path / "out") == 0
+    assert f"{parts[1] / 'config.json'} was damaged" in capsys.readouterr().err
+    assert (parts[1] / "config.json").read_bytes() == config
+
+
 def test_a_part_without_a_policy_is_refused_by_name(parts: list[Path], tmp_path: Path) -> None:
     gone = next((parts[1] / "policies").glob("*.npz"))
     gone.unlink()
