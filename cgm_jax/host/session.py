@@ -97,7 +97,9 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                 return _train(jobs, directory, interruption, options, shown, progress, tracking)
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            print(_how_to_resume(out, options.track), file=sys.stderr)
+            begun = RunDirectory(out).holds_sweep()
+            what_now = _how_to_resume(out, options.track) if begun else "nothing was begun"
+            print(what_now, file=sys.stderr)
             return ExitCode.CANNOT_WRITE
 
 

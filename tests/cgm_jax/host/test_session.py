@@ -8,6 +8,7 @@ import builtins
 import contextlib
 import csv
 import dataclasses
+import errno
 import functools
 import hashlib
 import io
@@ -354,6 +355,26 @@ def test_a_full_disk_costs_checkpoints_but_not_the_training(
     assert len(rows(out)) == EPOCHS * RUNS
     assert not list(out.rglob("*.partial"))
     assert list((out / "checkpoints").glob("*epoch000001*.json"))
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_without_room_for_its_config_nothing_is_begun_and_the_same_command_begins(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "replace_config", full)
+        assert train(out) == 74
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-2:] == [
+        f"error: cannot write to {out}: No space left on device",
+        "nothing was begun",
+    ]
     assert train(out) == 0
     assert_same_results(whole, out)
 
