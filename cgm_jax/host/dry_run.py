@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 
+from cgm_jax.config.grid import structure
 from cgm_jax.host.device_errors import DeviceError, device_errors
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.runner import Job
@@ -164,7 +165,7 @@ def _left(job: Job, index: int, directory: RunDirectory | None) -> tuple[int, in
 
 
 def _key(job: Job) -> Key:
-    program = (id(job.programs), jax.tree.structure(job.group.runs[0].hyper))
+    program = (id(job.programs), structure(job.group.settings, job.group.runs[0].hyper))
     return program, len(job.group.runs)
 
 

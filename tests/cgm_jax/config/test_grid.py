@@ -1,11 +1,13 @@
 import dataclasses
+import itertools
 from typing import Any
 
 import pytest
 
 from cgm_jax.agents.ddpg import DDPG
+from cgm_jax.config.components import ROOMS, builtin
 from cgm_jax.config.fields import SettingError, check, declared
-from cgm_jax.config.grid import build_groups, run_of, split, swept_settings
+from cgm_jax.config.grid import build_groups, run_of, split, structure, swept_settings
 from cgm_jax.config.presets import PRESETS
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.curricula.cgm import CGM
@@ -79,6 +81,15 @@ def test_runs_of_one_program_are_one_group_whatever_lies_between_them() -> None:
     groups = build_groups("smoke", {"curriculum": ["cgm", "full"], "seed": [0, 1], "c_g": [0.1]})
     assert [len(group.runs) for group in groups] == [4, 2]
     assert {run.values["curriculum"] for run in groups[1].runs} == {"full"}
+
+
+def test_each_curriculum_agent_and_relabelling_has_a_program_of_its_own() -> None:
+    for kind in ROOMS:
+        groups = build_groups("smoke", {kind: [*builtin(kind)], "kappa": [4.0]})
+        programs = [structure(group.settings, group.runs[0].hyper) for group in groups]
+        assert len(groups) == len(builtin(kind))
+        for one, other in itertools.combinations(programs, 2):  # by comparison, not by hash
+            assert one != other
 
 
 def test_a_run_is_the_same_from_all_its_values() -> None:
