@@ -7,5 +7,6 @@ named.py       from the user's own files; user_code.py runs them, allowed.py whi
 presets.py     smoke, quick, cpu, paper
 spelling.py    values as words, as options have them, and back
 run_names.py   what tells runs apart
+missing.py     numbers that do not exist yet
 grid.py        from lists of values to runs, and from runs to groups that train side by side
 """

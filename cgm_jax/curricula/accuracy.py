@@ -24,6 +24,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, shared, static, traced
+from cgm_jax.config.missing import missing
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import proportional
 from cgm_jax.curricula.parts.windows import (
@@ -87,7 +88,7 @@ class Accuracy(Curriculum[AccuracyState]):
         """Per threshold [steps]: what it is, its success, how that changes, its probability."""
         return {
             "threshold": state.thresholds,
-            "threshold_rate_training": window_rates(state.windows, jnp.nan),
+            "threshold_rate_training": window_rates(state.windows, missing()),
             "threshold_progress": progress(state.windows),
             "threshold_probability": self.probabilities(state),
         }

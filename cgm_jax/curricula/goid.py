@@ -19,6 +19,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, static, traced
+from cgm_jax.config.missing import missing
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.candidates import (
     achieved_goals,
@@ -65,7 +66,7 @@ class GOID(Curriculum[GOIDState]):
         like = Practised(jnp.zeros(sizes.goal), jnp.zeros((), bool))
         return GOIDState(
             practised=init_recent(like, self.practised_episodes),
-            share=jnp.full((), jnp.nan, jnp.float32),
+            share=jnp.full((), missing(), jnp.float32),
         )
 
     def sample(self, state: GOIDState, key: jax.Array, drawn: Goals, view: View) -> Goals:
@@ -84,7 +85,7 @@ class GOID(Curriculum[GOIDState]):
         known = view.filled > 0
         return drawn.replace(
             desired=jnp.where(known, chosen, drawn.desired),
-            memo=jnp.where(known, medium.mean(), jnp.nan),
+            memo=jnp.where(known, medium.mean(), missing()),
         )
 
     def after_training(self, state: GOIDState, outcomes: Outcomes) -> GOIDState:

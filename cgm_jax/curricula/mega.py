@@ -27,6 +27,7 @@ from jaxtyping import Array, Float, Int
 
 from cgm_jax.config.common import Common
 from cgm_jax.config.fields import settings, shared, static, traced
+from cgm_jax.config.missing import missing
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import achieved_goals
@@ -96,7 +97,7 @@ class MEGA(Curriculum[MEGAState]):
             lower=cutoff,
             floor=floor,
             successes=init_recent(jnp.zeros((), bool), CUTOFF_EPISODES),
-            alpha=jnp.full((), jnp.nan, jnp.float32),
+            alpha=jnp.full((), missing(), jnp.float32),
         )
 
     def sample(self, state: MEGAState, key: jax.Array, drawn: Goals, view: View) -> Goals:
@@ -127,7 +128,7 @@ class MEGA(Curriculum[MEGAState]):
         known = view.filled > 0
         return drawn.replace(
             desired=jnp.where((known & ~kept)[:, None], frontier, drawn.desired),
-            memo=Memo(jnp.where(known, alpha, jnp.nan), values.min()),
+            memo=Memo(jnp.where(known, alpha, missing()), values.min()),
         )
 
     def after_training(self, state: MEGAState, outcomes: Outcomes) -> MEGAState:
@@ -142,12 +143,14 @@ class MEGA(Curriculum[MEGAState]):
         higher = jnp.maximum(jnp.minimum(self.initial_cutoff, state.cutoff + 1.0), state.floor)
         cutoff = jnp.where(easy, jnp.maximum(lower, state.cutoff - 1.0), state.cutoff)
         recorded = jnp.where(easy | hard, 0, successes.recorded)
-        return state.replace(
+        now = state.replace(
             cutoff=jnp.where(hard, higher, cutoff),
             lower=lower,
             successes=successes.replace(recorded=recorded),
             alpha=jnp.where(happened, memo.alpha, state.alpha),
         )
+        # With jax_enable_x64 values and settings may be of float64.
+        return jax.tree.map(lambda new, old: new.astype(old.dtype), now, state)
 
     def report(self, state: MEGAState) -> dict[str, jax.Array]:
         """The chance of the environment's own goals, and the cutoff."""

@@ -24,6 +24,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import SettingError, settings, shared, static, traced
+from cgm_jax.config.missing import missing
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import between, draw_eligible, nearest_success
@@ -82,7 +83,7 @@ class Starts(Curriculum[StartsState]):
         return StartsState(
             visited=init_recent(sizes.starts, self.visited_states),
             begun=init_recent(like, self.practised_episodes),
-            share=jnp.full((), jnp.nan, jnp.float32),
+            share=jnp.full((), missing(), jnp.float32),
         )
 
     def sample(self, state: StartsState, key: jax.Array, drawn: Goals, view: View) -> Goals:
@@ -94,11 +95,11 @@ class Starts(Curriculum[StartsState]):
         chosen = draw_eligible(choice_key, jnp.where(medium.any(), medium, filled), count)
         visited = jax.tree.map(lambda rows: rows[chosen], state.visited.rows)
         kept = jax.random.bernoulli(reset_key, self.reset_share, (count,)) | ~filled.any()
-        share = medium.sum() / jnp.maximum(filled.sum(), 1)
+        share = medium.sum(dtype=jnp.float32) / jnp.maximum(filled.sum(dtype=jnp.float32), 1.0)
         return drawn.replace(
             start=_rows_where(kept, view.first, visited),
             desired=jnp.where(kept[:, None], drawn.desired, visited.obs["desired_goal"]),
-            memo=jnp.where(filled.any(), share, jnp.nan),
+            memo=jnp.where(filled.any(), share, missing()),
         )
 
     def after_training(self, state: StartsState, outcomes: Outcomes) -> StartsState:

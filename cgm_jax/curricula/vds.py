@@ -19,6 +19,7 @@ from jax.scipy.special import xlogy
 from jaxtyping import Array, Float
 
 from cgm_jax.config.fields import settings, shared, traced
+from cgm_jax.config.missing import missing
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
@@ -43,7 +44,7 @@ class VDS(Curriculum[VDSState]):
     def init(self, sizes: Sizes) -> VDSState:
         """Nothing known yet."""
         del sizes
-        return VDSState(jnp.full((), jnp.nan, jnp.float32))
+        return VDSState(jnp.full((), missing(), jnp.float32))
 
     def sample(self, state: VDSState, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """Goals of the environment, by how much critics disagree about them."""
@@ -56,7 +57,7 @@ class VDS(Curriculum[VDSState]):
         weights = log_weights(disagreement, self.disagreement_power)
         return drawn.replace(
             desired=candidates[jax.random.categorical(choice_key, weights)],
-            memo=disagreement.mean(),
+            memo=disagreement.mean().astype(jnp.float32),
         )
 
     def after_training(self, state: VDSState, outcomes: Outcomes) -> VDSState:

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from cgm_jax.agents.networks import apply_actor
+from cgm_jax.config.missing import missing
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.curricula.protocol import Goals
 from cgm_jax.loop.exploration import Exploration
@@ -84,9 +85,5 @@ def _training_metrics(statistics: EpochStatistics) -> Metrics:
 
 
 def _share(part: jax.Array, whole: jax.Array) -> jax.Array:
-    """A share, or NaN (written as null) of nothing; without dividing 0 by 0.
-
-    While JAX searches for NaN it must not find this one, so that it is infinite then.
-    """
-    nothing = -jnp.inf if jax.config.jax_debug_nans else jnp.nan  # pyright: ignore
-    return jnp.where(whole > 0, part / jnp.maximum(whole, 1), nothing)
+    """A share, or `missing` of nothing; without dividing 0 by 0."""
+    return jnp.where(whole > 0, part / jnp.maximum(whole, 1), missing())

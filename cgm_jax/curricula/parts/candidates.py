@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from cgm_jax.config.missing import missing
 from cgm_jax.curricula.protocol import View
 
 
@@ -43,7 +44,7 @@ def nearest_success(
     nearest_closeness, nearest = jax.lax.top_k(closeness, min(neighbours, len(practised)))
     known = jnp.isfinite(nearest_closeness)
     count, total = known.sum(axis=1), jnp.sum(known & success[nearest], axis=1)
-    return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan)
+    return jnp.where(count > 0, total / jnp.maximum(count, 1), missing())
 
 
 def between(rates: Float[Array, " m"], least: ArrayLike, most: ArrayLike) -> Bool[Array, " m"]:

@@ -32,6 +32,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from cgm_jax.config.missing import missing
 from cgm_jax.curricula.parts.lookahead import log_weight
 
 LEVELS = 2048
@@ -202,7 +203,7 @@ def report_levels(masks: Float[Array, "E n"], estimates: Float[Array, " E"]) -> 
     kept = masks.sum(axis=-1) @ counts
     masks_of = counts.sum(axis=0)
     some = masks_of > 0.0
-    mean = jnp.where(some, kept / jnp.where(some, masks_of, 1.0), jnp.nan)
+    mean = jnp.where(some, kept / jnp.where(some, masks_of, 1.0), missing())
     return LevelReport(masks_of / masks.shape[0], mean)
 
 

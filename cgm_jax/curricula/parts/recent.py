@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Shaped
 
+from cgm_jax.config.missing import missing
+
 
 class Recent(struct.PyTreeNode):
     """A ring of rows.
@@ -62,4 +64,4 @@ def mean_of(recent: Recent, values: Shaped[Array, " N"]) -> Float[Array, ""]:
     """Mean of values [N] over the filled slots; NaN while there is none."""
     total = jnp.sum(jnp.where(recent.filled, values.astype(jnp.float32), 0.0))
     count = recent.filled.sum()
-    return jnp.where(count > 0, total / jnp.maximum(count, 1).astype(total.dtype), jnp.nan)
+    return jnp.where(count > 0, total / jnp.maximum(count, 1).astype(total.dtype), missing())

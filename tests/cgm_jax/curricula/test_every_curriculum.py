@@ -204,5 +204,27 @@ def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
     assert_training_resumes(done.programs, stack(done.runs), done.state, done.start, tmp_path)
 
 
+def test_with_64_bits_its_state_keeps_its_types(name: str) -> None:
+    with jax.enable_x64(True):
+        trainer, hyper = make_trainer(ENV, SETTINGS), two_runs(name)[0]
+        jax.eval_shape(trainer.epoch, jax.eval_shape(trainer.init, hyper), hyper)
+
+
+def test_a_search_for_nan_does_not_find_what_it_does_not_know_yet(name: str) -> None:
+    with jax.debug_nans(True):
+        state = jax.jit(TRAINER.init)(hyper := two_runs(name)[0])
+        jax.jit(lambda hyper, state: hyper.curriculum.report(state))(hyper, state.curriculum)
+
+
+@pytest.mark.slow
+def test_a_search_for_nan_finds_none_in_training(name: str) -> None:
+    hyper = two_runs(name)[0]
+    with jax.debug_nans(True):
+        state = jax.jit(TRAINER.init)(hyper)
+        for _ in range(2):
+            state, metrics = jax.jit(TRAINER.epoch)(state, hyper)
+        jax.block_until_ready(metrics)
+
+
 def test_wrong_settings_are_refused_by_name(name: str) -> None:
     assert_wrong_settings_are_refused_by_name("curriculum", name)
