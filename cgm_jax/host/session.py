@@ -70,7 +70,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         import jax
 
         from cgm_jax.host.dry_run import show_plan
-        from cgm_jax.host.runner import check_last_checkpoints, plan_jobs
+        from cgm_jax.host.runner import plan_jobs
 
         check_devices(devices)
         jobs, notes = plan_jobs(to_train, jax.devices()[:devices], planned=recorded is not None)
@@ -91,8 +91,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                     groups = [job.group for job in jobs]
                     directory.write_config(groups, asked.preset, device, asked.shard, asked.origin)
                 else:
-                    check_last_checkpoints(jobs, directory)
-                    notes += _notes_on_resuming(directory, device, recorded, moved)
+                    notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
                 return _train(jobs, directory, interruption, options, shown, progress, tracking)
         except OSError as error:
@@ -175,10 +174,26 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
 
 
 def _notes_on_resuming(
-    directory: RunDirectory, device: str, groups: Sequence[Group], moved: Mapping[str, str]
+    directory: RunDirectory,
+    jobs: "Sequence[Job]",
+    device: str,
+    groups: Sequence[Group],
+    moved: Mapping[str, str],
 ) -> list[str]:
+    """Check that jobs can resume, record what differs, and say so.
+
+    Raises:
+        SettingError: a checkpoint is refused; then nothing is recorded.
+    """
+    from cgm_jax.host.runner import check_last_checkpoints
+
     notes, epochs = ["resuming where it was stopped"], None
     changed = directory.changes_since_begun(device, groups, moved)
+    try:
+        check_last_checkpoints(jobs, directory)
+    except SettingError as error:
+        reason = f"; it was begun with {', '.join(changed)}" if changed else ""
+        raise SettingError(f"{error}{reason}") from None
     if changed:
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
     before, now = (one[0].settings.epochs for one in (directory.groups(moved), groups))

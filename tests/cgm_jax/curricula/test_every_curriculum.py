@@ -222,8 +222,7 @@ def test_a_search_for_nan_finds_none_in_training(name: str) -> None:
     with jax.debug_nans(True):
         state = jax.jit(TRAINER.init)(hyper)
         for _ in range(2):
-            state, metrics = jax.jit(TRAINER.epoch)(state, hyper)
-        jax.block_until_ready(metrics)
+            state, _ = jax.block_until_ready(jax.jit(TRAINER.epoch)(state, hyper))
 
 
 def test_wrong_settings_are_refused_by_name(name: str) -> None:
