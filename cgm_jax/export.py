@@ -75,7 +75,7 @@ def _files(options: ExportOptions) -> list[Path]:
     """The policy files to export.
 
     Raises:
-        SettingError: none are chosen, or there are none.
+        SettingError: none are chosen, there are none, or the run directory holds a link.
     """
     if (options.source is None) == (options.pretrained is None):
         raise SettingError("source: name a run directory or a policy file, or give --pretrained")
@@ -85,6 +85,9 @@ def _files(options: ExportOptions) -> list[Path]:
     assert source is not None
     if source.is_file():
         return [source]
+    from cgm_jax.storage.run_directory import check_parts
+
+    check_parts(source)
     files = sorted(source.glob("policies/*.npz"))
     if not files:
         raise SettingError(f"source: {source} is no policy file, and holds none in policies/")

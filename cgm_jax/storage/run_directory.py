@@ -79,7 +79,7 @@ class RunDirectory:
             SettingError: it cannot be written to, it is not fresh, or a part of it leads elsewhere.
             InUseError: another process has it.
         """
-        _check_parts(path)
+        check_parts(path)
         with contextlib.ExitStack() as stack:
             try:
                 for part in ("policies/improvements", "figures", "checkpoints"):
@@ -100,7 +100,7 @@ class RunDirectory:
         """
         if not cls(path).holds_sweep():
             raise SettingError(f"{path} holds no sweep: {CONFIG} is missing")
-        _check_parts(path)
+        check_parts(path)
         return cls(path)
 
     def holds_sweep(self) -> bool:
@@ -171,7 +171,7 @@ class RunDirectory:
         Raises:
             SettingError: it cannot be written, or a part of the directory leads elsewhere.
         """
-        _check_parts(self.path)
+        check_parts(self.path)
         try:
             return restore_config(self.path / CONFIG, self.path / "checkpoints")
         except OSError as error:
@@ -550,7 +550,7 @@ def _check_name(name: Any) -> None:
         raise SettingError(f"run: {str(name)[:60]!r} is no name for a file")
 
 
-def _check_parts(path: Path) -> None:
+def check_parts(path: Path) -> None:
     """Check that all parts of a run directory are ordinary files and directories.
 
     A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One

@@ -33,3 +33,17 @@ def test_without_onnx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(export, "find_spec", lambda _: None)
     with pytest.raises(SettingError, match=r"pip install 'cgm_jax\[onnx\]'"):
         export.main(["--pretrained", "reach", "--onnx"])
+
+
+@pytest.mark.parametrize("link", ["policies", "policies/a.npz"])
+def test_nothing_is_written_where_a_directory_from_elsewhere_leads(
+    link: str, tmp_path: Path
+) -> None:
+    source, elsewhere = tmp_path / "source", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "a.npz").touch()
+    (source / link).parent.mkdir(parents=True)
+    (source / link).symlink_to(elsewhere / Path(link).relative_to("policies"))
+    with pytest.raises(SettingError, match=f"{link} is a symbolic link, which a run directory may"):
+        export.main([str(source), "--onnx"])
+    assert [path.name for path in elsewhere.iterdir()] == ["a.npz"]
