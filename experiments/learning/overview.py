@@ -1,9 +1,10 @@
 """Many settings beside each other: success over training, and when every seed held 90 %.
 
 A column per task. Above, a line per setting, the median over its seeds; below, a row per setting
-with a mark per seed.
+with a mark per seed, in the line's colour, which names the line, too.
 """
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -25,6 +26,8 @@ from experiments.learning.tables import (
 from experiments.markdown import counted, percent
 
 LEVEL = 0.9
+LABEL_WIDTH = 38
+"""Characters, of which two lines fit into a row."""
 
 Look = dict[str, Any]
 
@@ -70,8 +73,8 @@ def overview(runs: Runs) -> Figure:
     figure, panels = plt.subplots(
         2,
         len(tasks),
-        figsize=(6.5 * len(tasks), 5.0 + 0.3 * rows),
-        height_ratios=[4.0, 0.8 + 0.3 * rows],
+        figsize=(7.0 * len(tasks), 4.5 + 0.4 * rows),
+        height_ratios=[4.0, 0.5 + 0.4 * rows],
         squeeze=False,
         sharex="col",
         layout="constrained",
@@ -84,15 +87,15 @@ def overview(runs: Runs) -> Figure:
         above.set_title(task)
         above.axhline(LEVEL, color="grey", linewidth=0.8, linestyle=":")
         label_success(above, "success rate, full goal")
-        above.legend(fontsize=8, loc="center right", bbox_to_anchor=(-0.14, 0.5), frameon=False)
         above.grid(alpha=0.25)
         label_steps(below)
+        below.set_xlim(left=0)
         below.set_title(f"{percent(LEVEL)} held, every seed (x: not held)", fontsize=10)
     return figure
 
 
 def _names(settings: Sequence[Setting]) -> dict[Setting, str]:
-    """What each setting is called: all that is not the same in all of them, the task aside."""
+    """What each setting is called: all that is not the same in all settings of some task."""
     parts = {
         setting: (
             setting.algorithm,
@@ -101,7 +104,12 @@ def _names(settings: Sequence[Setting]) -> dict[Setting, str]:
         )
         for setting in settings
     }
-    told = [len(set(column)) > 1 for column in zip(*parts.values(), strict=True)]
+    by_task = [
+        [own for setting, own in parts.items() if setting.task == task]
+        for task in {setting.task for setting in settings}
+    ]
+    columns = zip(*(zip(*rows, strict=True) for rows in by_task), strict=True)
+    told = [any(len(set(values)) > 1 for values in column) for column in columns]
     if not any(told):
         return {setting: setting.curriculum for setting in settings}
     return {
@@ -140,7 +148,7 @@ def _draw_arrivals(
             steps = env_steps_to_hold(run, LEVEL) if held else run.rows[-1]["env_steps"]
             shape = {"marker": marker if held else "x", "markersize": 5}
             panel.plot(steps, row + place, linestyle="", color=colour, **shape)
-        labels.append(f"{name}, {counted(len(seeds), 'seed')}")
+        labels.append(textwrap.fill(f"{name}, {counted(len(seeds), 'seed')}", LABEL_WIDTH))
     panel.set_yticks(range(len(labels)), labels, fontsize=8)
     for tick, name in zip(panel.get_yticklabels(), settings, strict=True):
         tick.set_color(looks[name]["color"])

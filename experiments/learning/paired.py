@@ -101,8 +101,8 @@ def comparisons(runs: Runs) -> list[Row]:
     """Settings compared by seed, where one thing tells them apart.
 
     Every curriculum against no masks and against the paper's CGM (10 %, 32); CGM with another
-    estimate against the paper's at the same point; agents, and what networks see, against DDPG
-    that sees no masks.
+    estimate against the paper's at the same point; agents, what networks see, and stages before the
+    goal, against DDPG that sees no masks and pursues no stages.
 
     Compared are environment steps until a success is held, by the seeds that both have. A run that
     does not hold it by the end of the shorter training counts as holding it there; the difference
@@ -147,7 +147,8 @@ def _is_baseline_of_masks(baseline: Setting, setting: Setting) -> bool:
 
 
 def _learns_as_the_paper(setting: Setting) -> bool:
-    return setting.agent == "ddpg" and not setting.her_masks and not setting.mask_input
+    further = setting.her_masks or setting.mask_input or setting.stages
+    return setting.agent == "ddpg" and not further
 
 
 def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | None:

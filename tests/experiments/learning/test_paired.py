@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -84,13 +86,20 @@ def test_everything_is_compared_with_no_masks_and_with_the_papers_best_point() -
 
 def test_estimates_are_compared_at_their_point_and_what_learns_with_ddpg() -> None:
     point = {"c_g": 0.8}
-    settings = [point, {**point, "success_history": 50}, {**point, "mask_input": True}]
+    stages = {"relabelling": "relay", "relay_chance": 0.5, "relay_share": 0.15}
+    further: list[dict[str, Any]] = [{"success_history": 50}, {"mask_input": True}, stages]
+    settings = [point, *({**point, **one} for one in further)]
     runs = [run([0.6] * 3, seed, **one) for one in settings for seed in (0, 1)]
     pairs = [(row["algorithm"], row["setting"], row["baseline"]) for row in comparisons(runs)]
     ddpg = "DDPG + HER"
     assert pairs == [
         (ddpg, "CGM, h = 50 (80 %, 32)", "CGM (80 %, 32)"),
         ("", f"{ddpg} (mask as input), CGM (80 %, 32)", f"{ddpg}, CGM (80 %, 32)"),
+        (
+            "",
+            f"{ddpg} (stages by 50 %, 15 % of hindsight), CGM (80 %, 32)",
+            f"{ddpg}, CGM (80 %, 32)",
+        ),
     ]
 
 
