@@ -85,7 +85,7 @@ def _files(options: ExportOptions) -> list[Path]:
     assert source is not None
     if source.is_file():
         return [source]
-    from cgm_jax.storage.run_directory import check_parts
+    from cgm_jax.storage.layout import check_parts
 
     check_parts(source)
     files = sorted(source.glob("policies/*.npz"))

@@ -123,7 +123,7 @@ def _follow(
 
 def _state(paths: Sequence[Path]) -> list[tuple[int, int] | None]:
     """What tells whether files have changed: sizes and times of configs and metrics."""
-    from cgm_jax.storage.run_directory import CONFIG, METRICS
+    from cgm_jax.storage.layout import CONFIG, METRICS
 
     found: list[tuple[int, int] | None] = []
     for file in (path / name for path in paths for name in (CONFIG, METRICS)):

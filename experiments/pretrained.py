@@ -21,8 +21,9 @@ from cgm_jax.pretrained import FOLDER, NAMES, RECORD
 from cgm_jax.results.chosen import Policies
 from cgm_jax.results.plan import Plan
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.policies import load_policy
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory
+from cgm_jax.storage.run_directory import RunDirectory
 
 OPTIONS = {
     "reach": "--epochs 8",

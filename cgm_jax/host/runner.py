@@ -29,8 +29,10 @@ from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
+from cgm_jax.storage.config_file import start_beside
+from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.metrics import Row, check_rows
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory, start_beside
+from cgm_jax.storage.run_directory import RunDirectory
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,10 @@ from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.tracking import Tracking, find_tracker
+from cgm_jax.storage.config_file import read_origin
+from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.metrics import Row
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_origin
+from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job

@@ -19,7 +19,8 @@ from cgm_jax.config.fields import Field, SettingError
 from cgm_jax.config.named import is_own, require_named
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.spelling import value_of
-from cgm_jax.storage.run_directory import CONFIG, read_groups, start_beside
+from cgm_jax.storage.config_file import read_groups, start_beside
+from cgm_jax.storage.layout import CONFIG
 
 MAX_BYTES = 2**20
 """Of a settings.toml."""

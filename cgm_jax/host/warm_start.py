@@ -22,8 +22,10 @@ from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs
 from cgm_jax.storage.arrays import read_arrays, read_shapes
 from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
+from cgm_jax.storage.config_file import read_groups
+from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.policies import MAX_POLICY_BYTES, load_policy
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory, read_groups
+from cgm_jax.storage.run_directory import RunDirectory
 
 TAKEN = (".agent", ".normaliser.observation", ".normaliser.goal")
 """Parts of a training state that another run's take the place of. The limit to which normalised

@@ -30,9 +30,10 @@ from cgm_jax.storage.checkpoints import (
     manifest_path,
     write_manifest,
 )
+from cgm_jax.storage.config_file import UNREADABLE
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.metrics import Row, check_rows, from_lines
-from cgm_jax.storage.run_directory import UNREADABLE, RunDirectory
+from cgm_jax.storage.run_directory import RunDirectory
 
 PROVENANCE = ("versions", "python", "commit", "device", "flags", "variables", "machine", "files")
 """Of these each part keeps its own, since parts may have been trained on several machines."""

@@ -1,6 +1,8 @@
 """What lies on the disk.
 
-run_directory.py  config.json, metrics.jsonl, policies; lock.py one sweep per directory
+run_directory.py  what a sweep writes, and reads again; lock.py one sweep per directory
+layout.py         names of the parts of a run directory, none of which leads elsewhere
+config_file.py    what config.json says of runs, read as untrusted input
 metrics.py        rows of metrics: dicts in memory, lines of JSON in files
 checkpoints.py    checkpoints as files: finished, whole, and the config they carry
 formats.py        older formats of config.json

@@ -17,8 +17,6 @@ symbolic link; and code that its config names runs only if the user has named it
 import contextlib
 import itertools
 import json
-import os
-import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -30,34 +28,28 @@ import numpy as np
 
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, Run, run_of, structure
+from cgm_jax.config.grid import Group, Run
 from cgm_jax.config.named import absolute, is_own, require_named
-from cgm_jax.config.run_names import MAX_NAME
 from cgm_jax.config.shards import Shard
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun, holds_config, restore_config
+from cgm_jax.storage.config_file import (
+    UNREADABLE,
+    attribute_of,
+    check_name,
+    damaged,
+    group_of,
+    own_names,
+    read_config,
+    recorded_names,
+    renamed,
+)
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
-from cgm_jax.storage.lock import HOLDER, LOCK, locked
+from cgm_jax.storage.layout import CONFIG, METRICS, START, TABLE, check_parts
+from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.provenance import changes, moved_path, provenance
-
-START = "start.npz"
-METRICS, TABLE = "metrics.jsonl", "metrics.csv"
-CONFIG = "config.json"
-PARTS = (
-    *(CONFIG, START, METRICS, TABLE, LOCK, HOLDER),
-    *("policies", "figures", "checkpoints", "tracking"),
-    *("launch.json", "parts", "attempts", "logs"),
-)
-
-WANDB_LOG = "debug-core.log"
-
-UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
-"""What reading a config raises whose values are of other types than they should be."""
-
-MAX_CONFIG_BYTES = 2**28
-"""Of a config with as many runs as a sweep may have."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +124,7 @@ class RunDirectory:
         """
         for group in groups:
             for run in group.runs:
-                _check_name(run.name)
+                check_name(run.name)
         self.replace_config(
             {
                 "format": FORMAT,
@@ -145,7 +137,7 @@ class RunDirectory:
                     {"runs": [{"name": run.name, **run.values} for run in group.runs]}
                     for group in groups
                 ],
-                **provenance(device, _own_names(groups)),
+                **provenance(device, own_names(groups)),
             }
         )
 
@@ -187,7 +179,7 @@ class RunDirectory:
             config = upgraded(self._config())
             for group in config["groups"]:
                 for run in group["runs"]:
-                    _check_name(run["name"])
+                    check_name(run["name"])
         except UNREADABLE as error:
             raise self._damaged(error) from None
         return config
@@ -222,15 +214,15 @@ class RunDirectory:
             SettingError: the config is damaged, or names code that the user has not named.
         """
         try:
-            config = _renamed(upgraded(self._config()), moved or {})
-            own = [(kind, text) for kind in NAMES for text in _recorded(config, kind)]
+            config = renamed(upgraded(self._config()), moved or {})
+            own = [(kind, text) for kind in NAMES for text in recorded_names(config, kind)]
         except UNREADABLE as error:
             raise self._damaged(error) from None
         for kind, text in own:  # before anything is made of them
             if is_own(text):
                 require_named(kind, text)
         try:
-            groups = [_group(entry) for entry in config["groups"]]
+            groups = [group_of(entry) for entry in config["groups"]]
             names = [run.name for group in groups for run in group.runs]
             if not names or len(set(names)) < len(names):
                 raise ValueError("it needs runs, each with a name of its own")
@@ -253,13 +245,13 @@ class RunDirectory:
         moved: dict[str, str] = {}
         for kind, texts in named.items():
             try:
-                recorded = _recorded(upgraded(self._config()), kind)
+                recorded = recorded_names(upgraded(self._config()), kind)
             except UNREADABLE as error:
                 raise self._damaged(error) from None
             asked = {absolute(text) for text in texts}
             gone = [text for text in recorded if is_own(text) and text not in asked]
             for text in sorted(asked - {*recorded}):
-                before = [old for old in gone if _attribute(old) == _attribute(text)]
+                before = [old for old in gone if attribute_of(old) == attribute_of(text)]
                 if not is_own(text) or len(before) != 1 or before[0] in moved:
                     there = ", ".join(recorded) or "none"
                     raise SettingError(f"{kind}: {self.path} was trained with {there}, not {text}")
@@ -280,7 +272,7 @@ class RunDirectory:
             SettingError: the config is damaged.
         """
         try:
-            return changes(self._config(), provenance(device, _own_names(groups)), moved)
+            return changes(self._config(), provenance(device, own_names(groups)), moved)
         except UNREADABLE as error:
             raise self._damaged(error) from None
 
@@ -309,7 +301,7 @@ class RunDirectory:
                 for values in (values for group in config["groups"] for values in group["runs"]):
                     values["epochs"] = epochs
             config |= {
-                "groups": _renamed(config["groups"], moved),
+                "groups": renamed(config["groups"], moved),
                 "files": {str(moved_path(name, moved)): files[name] for name in files},
                 "resumed": [*config.get("resumed", []), entry],
             }
@@ -318,13 +310,13 @@ class RunDirectory:
         self.replace_config(config)
 
     def _config(self) -> Any:
-        return _read_config(self.path / CONFIG)
+        return read_config(self.path / CONFIG)
 
     def _damaged(self, error: Exception) -> SettingError:
-        damaged = _damaged(self.path / CONFIG, error)
+        complaint = damaged(self.path / CONFIG, error)
         if not holds_config(self.path / "checkpoints"):
-            return damaged
-        return SettingError(f"{damaged}; without this file it comes back from a checkpoint")
+            return complaint
+        return SettingError(f"{complaint}; without this file it comes back from a checkpoint")
 
     def append_metrics(self, rows: Sequence[Row]) -> None:
         """Add rows to metrics.jsonl.
@@ -379,7 +371,7 @@ class RunDirectory:
             if not rows:
                 raise ValueError("it has no row")
         except (OSError, *UNREADABLE) as error:
-            raise _damaged(self.path / METRICS, error) from None
+            raise damaged(self.path / METRICS, error) from None
         return rows
 
     def has_csv(self) -> bool:
@@ -435,144 +427,6 @@ class RunDirectory:
 def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     with replacing(path) as file:
         write_arrays(file, arrays.items())
-
-
-def read_groups(path: Path) -> list[dict[str, dict[str, Any]]]:
-    """All values of each run of a config.json, by group and name; nothing that it names runs.
-
-    Raises:
-        SettingError: the file cannot be read, or is no config.json.
-    """
-    try:
-        groups = upgraded(_read_config(path))["groups"]
-        named = [[_named_values(values) for values in group["runs"]] for group in groups]
-        names = [name for group in named for name, _ in group]
-        if not names or len({*names}) < len(names):
-            raise ValueError("it needs runs, each with a name of its own")
-        return [dict(group) for group in named]
-    except UNREADABLE as error:
-        raise _damaged(path, error) from None
-
-
-def start_beside(config: Path) -> Path | None:
-    """The arrays that the sweep of a config.json started from; None for from scratch.
-
-    Raises:
-        SettingError: they are not beside it, or it cannot be read.
-    """
-    origin, start = read_origin(config), config.with_name(START)
-    if origin is None:
-        return None
-    if not start.is_file():
-        raise SettingError(f"from: {config} began from {origin}, but {start} is missing")
-    return start
-
-
-def read_origin(path: Path) -> str | None:
-    """What the sweep of a config.json started from, as it was named; None for from scratch.
-
-    Raises:
-        SettingError: the file cannot be read.
-    """
-    try:
-        origin = _read_config(path).get("from")
-    except UNREADABLE as error:
-        raise _damaged(path, error) from None
-    return None if origin is None else str(origin)
-
-
-def _read_config(path: Path) -> Any:
-    try:
-        if path.stat().st_size > MAX_CONFIG_BYTES:
-            raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        raise _damaged(path, error) from None
-
-
-def _damaged(path: Path, error: Exception) -> SettingError:
-    kind = "" if isinstance(error, SettingError) else f"{type(error).__name__}: "
-    text = str(error).partition("\n")[0]
-    return SettingError(f"{path} is damaged: {kind}{text}")
-
-
-def _named_values(entry: Any) -> tuple[str, dict[str, Any]]:
-    """A run's name and values from its entry in the config; whatever is wrong with it raises."""
-    values = dict(entry)
-    name = values.pop("name")
-    _check_name(name)
-    for key, value in values.items():
-        if isinstance(value, list):  # JSON knows no tuples
-            values[key] = tuple(value)
-    return name, values
-
-
-def _group(entry: Any) -> Group:
-    """A group of runs from its entry in the config; whatever is wrong with it raises."""
-    pairs = [run_of(*_named_values(values)) for values in entry["runs"]]
-    settings = {structure(static, run.hyper): static for static, run in pairs}
-    ((_, static),) = settings.items()  # runs of one group share a program
-    return Group(static, tuple(run for _, run in pairs))
-
-
-def _recorded(config: Any, kind: str) -> list[str]:
-    """What a config's runs have as their environment, or as another setting that is a name."""
-    runs = [run for group in config["groups"] for run in group["runs"] if kind in run]
-    return list(dict.fromkeys(run[kind] for run in runs if isinstance(run[kind], str)))
-
-
-def _renamed(values: Any, names: Mapping[str, str]) -> Any:
-    """A config, or a part of it, with other names for own code."""
-    if isinstance(values, str):
-        return names.get(values, values)
-    if isinstance(values, dict):
-        return {key: _renamed(value, names) for key, value in values.items()}
-    return [_renamed(value, names) for value in values] if isinstance(values, list) else values
-
-
-def _own_names(groups: Sequence[Group]) -> list[str]:
-    names = [run.values.get(kind) for group in groups for run in group.runs for kind in NAMES]
-    return list(dict.fromkeys(name for name in names if name and is_own(name)))
-
-
-def _attribute(text: str) -> str:
-    return text.rpartition(":")[2]
-
-
-def _check_name(name: Any) -> None:
-    """Check that a run's name is one of a file, in whichever directory it is put.
-
-    Raises:
-        ValueError: it is not.
-    """
-    valid = isinstance(name, str) and name.isprintable() and not {*"/\\"} & {*name}
-    if not valid or not 0 < len(name.encode()) <= MAX_NAME:
-        raise SettingError(f"run: {str(name)[:60]!r} is no name for a file")
-
-
-def check_parts(path: Path) -> None:
-    """Check that all parts of a run directory are ordinary files and directories.
-
-    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
-    that wandb makes beside its log is left alone, since nothing here opens it.
-
-    Raises:
-        SettingError: one is not.
-    """
-    for part in PARTS:
-        for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
-            for name in (*folders, *files):
-                found = Path(folder) / name
-                kept = found.relative_to(path).parts
-                if name == WANDB_LOG and Path(folder).name == "logs" and "tracking" in kept:
-                    continue
-                try:
-                    mode = found.lstat().st_mode
-                except OSError:  # there is none
-                    continue
-                if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-                    kind = "a symbolic link" if stat.S_ISLNK(mode) else "no ordinary file"
-                    raise SettingError(f"{found} is {kind}, which a run directory may not hold")
 
 
 def _now() -> str:

@@ -14,8 +14,9 @@ from cgm_jax.config.fields import parts
 from cgm_jax.config.grid import Run, run_of
 from cgm_jax.results.statistics import holds
 from cgm_jax.storage.formats import upgraded
+from cgm_jax.storage.layout import CONFIG, METRICS
 from cgm_jax.storage.metrics import to_lines
-from cgm_jax.storage.run_directory import CONFIG, METRICS, RunDirectory
+from cgm_jax.storage.run_directory import RunDirectory
 from experiments.learning.setting import Setting, setting_of
 from experiments.table import read_table, write_table
 

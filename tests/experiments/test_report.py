@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cgm_jax.storage.run_directory import CONFIG
+from cgm_jax.storage.layout import CONFIG
 from experiments import run
 from experiments.learning import records
 from experiments.learning.plans import read_plans, runs_of

@@ -14,7 +14,8 @@ from cgm_jax import evaluate, sweep
 from cgm_jax.config import allowed, named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory
+from cgm_jax.storage.layout import CONFIG
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
 
 CODE = """from pathlib import Path

@@ -13,7 +13,8 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
 from cgm_jax.storage.files import PARTIAL, replacing
-from cgm_jax.storage.run_directory import CONFIG, RunDirectory
+from cgm_jax.storage.layout import CONFIG
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
 
 

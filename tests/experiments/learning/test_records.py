@@ -6,7 +6,8 @@ import pytest
 
 from cgm_jax.config.grid import build_groups, split
 from cgm_jax.results.page.sweeps import read_sweep
-from cgm_jax.storage.run_directory import CONFIG, METRICS, RunDirectory
+from cgm_jax.storage.layout import CONFIG, METRICS
+from cgm_jax.storage.run_directory import RunDirectory
 from experiments.learning import records
 
 RATES: list[float | None] = [1.0, 0.12345, None]

@@ -1,0 +1,44 @@
+"""The parts of a run directory, by name; and that none of them leads elsewhere."""
+
+import os
+import stat
+from pathlib import Path
+
+from cgm_jax.config.fields import SettingError
+from cgm_jax.storage.lock import HOLDER, LOCK
+
+START = "start.npz"
+METRICS, TABLE = "metrics.jsonl", "metrics.csv"
+CONFIG = "config.json"
+PARTS = (
+    *(CONFIG, START, METRICS, TABLE, LOCK, HOLDER),
+    *("policies", "figures", "checkpoints", "tracking"),
+    *("launch.json", "parts", "attempts", "logs"),
+)
+
+WANDB_LOG = "debug-core.log"
+
+
+def check_parts(path: Path) -> None:
+    """Check that all parts of a run directory are ordinary files and directories.
+
+    A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
+    that wandb makes beside its log is left alone, since nothing here opens it.
+
+    Raises:
+        SettingError: one is not.
+    """
+    for part in PARTS:
+        for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
+            for name in (*folders, *files):
+                found = Path(folder) / name
+                kept = found.relative_to(path).parts
+                if name == WANDB_LOG and Path(folder).name == "logs" and "tracking" in kept:
+                    continue
+                try:
+                    mode = found.lstat().st_mode
+                except OSError:  # there is none
+                    continue
+                if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                    kind = "a symbolic link" if stat.S_ISLNK(mode) else "no ordinary file"
+                    raise SettingError(f"{found} is {kind}, which a run directory may not hold")
