@@ -10,7 +10,11 @@ setup.py        the environment and static settings, and the state before any tr
 state.py        everything that training carries from step to step
 inputs.py       what the networks see; normaliser.py its running mean and standard deviation
 environment.py  the environment that a setting names
-own_environment.py, own_components.py   what is the user's own, checked before anything is made
+own_*.py        what is the user's own: own_checks.py and own_components.py check it before anything
+                is made, own_environment.py is what training makes of an environment, with what it
+                declares (own_declarations.py), its states in lasting form (own_states.py)
+judging.py      an environment's own success, reward and ends of episodes
+devices.py      the axis of runs over devices; in_turn.py runs of one device, one after another
 """
 
 from cgm_jax.envs import quiet_import as _quiet_import  # noqa: F401 -- before anything of brax

@@ -21,7 +21,7 @@ from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.hosted.process import INTERPRETER, HostedProcess, other_interpreter
 from cgm_jax.envs.hosted.task import HostedTask
 from cgm_jax.envs.physics.native import NativePhysics
-from cgm_jax.loop.own_environment import checked
+from cgm_jax.loop.own_checks import checked
 
 
 def make_environment(settings: Settings) -> GoalEnvironment:

@@ -21,7 +21,7 @@ from cgm_jax.host.memory import (
     runs_that_fit,
     tree_bytes,
 )
-from cgm_jax.loop import own_environment
+from cgm_jax.loop import own_checks
 from cgm_jax.loop.environment import compiles_physics
 from cgm_jax.loop.training import make_programs, make_trainer
 from tests.cgm_jax.probe import TINY, tiny
@@ -184,7 +184,7 @@ def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.Monke
 def test_physics_that_xla_compiles_are_said_not_to_be_counted(
     few: int, large: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(own_environment, "FEW_OPERATIONS", few)
+    monkeypatch.setattr(own_checks, "FEW_OPERATIONS", few)
     name = f"{ROOT}/tests/examples/point_mass.py:PointMass"
     groups = build_groups("smoke", {"env": [name], "kappa": [4.0]})
     (_, (note,)) = runner.plan_jobs(groups, jax.devices())

@@ -14,7 +14,7 @@ from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.config.fields import SettingError
 from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
 from cgm_jax.loop.learning import minibatches
-from cgm_jax.loop.own_environment import checked
+from cgm_jax.loop.own_checks import checked
 from cgm_jax.loop.rollout import Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import init_state, make_setup
 from cgm_jax.loop.training import make_trainer

@@ -18,7 +18,8 @@ from cgm_jax.loop.cycle import training_policy
 from cgm_jax.loop.evaluation import final_policy
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.judging import rewards
-from cgm_jax.loop.own_environment import PROTOCOL, OwnEnvironment, checked
+from cgm_jax.loop.own_checks import PROTOCOL, checked
+from cgm_jax.loop.own_environment import OwnEnvironment
 from cgm_jax.loop.training import make_trainer
 from cgm_jax.replay.protocol import Transitions
 from cgm_jax.storage.policies import act, policy_arrays
