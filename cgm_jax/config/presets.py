@@ -30,7 +30,7 @@ _CPU: Grid = {
 _CARRYING: Grid = {"random_action_steps": [5]}
 
 # Exploration pursues first the grip where it can move the block, then the block; question `guided`
-# of experiments/plans.toml. Whether masks still help beside that is not known.
+# of experiments/plans.toml. Whether masks help beside that, five seeds do not tell.
 _STAGES: Grid = {"relabelling": ["relay"], "relay_share": [0.2]}
 
 # They need HER, wider networks and more steps than reach; so `quick` has fewer points of them.
