@@ -48,13 +48,17 @@ def from_lines(lines: Iterable[str]) -> list[Row]:
     return rows
 
 
-def check_row(row: Row) -> None:
-    """Check what a summary reads of a row, which may come from anybody.
+def check_row(row: Row, entries: Mapping[str, Any] = ENTRIES) -> None:
+    """Check what is read of a row, which may come from anybody.
+
+    Args:
+        row: of a run and epoch.
+        entries: what is read of it, and of what types; by default what a summary does.
 
     Raises:
         ValueError, KeyError: it is not such as a sweep writes.
     """
-    for name, kinds in ENTRIES.items():
+    for name, kinds in entries.items():
         if not isinstance(row[name], kinds) or isinstance(row[name], bool):
             raise ValueError(f"{name}: {row[name]!r:.40} in a row")
     for name in ("swept", "reported"):

@@ -12,10 +12,20 @@ from cgm_jax.results.figures.runs import TrainedRun, grouped, runs_of
 from cgm_jax.results.statistics import holds
 from cgm_jax.storage.config_file import UNREADABLE
 from cgm_jax.storage.layout import METRICS
-from cgm_jax.storage.metrics import Row, plain_row
+from cgm_jax.storage.metrics import Row, check_row, plain_row
 from cgm_jax.storage.run_directory import RunDirectory
 
 Values = Mapping[str, Any]
+
+ENTRIES: Values = {
+    "run": str,
+    "env": str,
+    "seed": int,
+    "epoch": int,
+    "env_steps": int | float,
+    "success_rate": int | float | None,
+}
+"""What the page reads of a row in any case, and of what types."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +96,9 @@ def _rows(directory: RunDirectory) -> list[Row]:
 
 
 def _check_row(row: Row) -> None:
-    kinds = {"run": str, "env": str, "seed": int, "epoch": int, "env_steps": int | float}
-    for name, kind in kinds.items():
-        if not isinstance(row[name], kind) or isinstance(row[name], bool):
-            raise ValueError(f"{name}: {row[name]!r:.40} in a row")
+    check_row(row, ENTRIES)
     rate = row["success_rate"]
-    if not isinstance(rate, int | float | None) or (is_finite(rate) and not 0 <= rate <= 1):
+    if is_finite(rate) and not 0 <= rate <= 1:
         raise ValueError(f"success_rate: {rate!r:.40} in a row")
     if not is_finite(row["env_steps"]):
         raise ValueError(f"env_steps: {row['env_steps']} in a row")
