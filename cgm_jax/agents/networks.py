@@ -1,12 +1,14 @@
 """Shapes of actors and critics, and how their parameters are made and applied."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from cgm_jax.agents.products import product
 from cgm_jax.agents.protocol import Parameters
 from cgm_jax.config.sizes import Sizes
 
@@ -183,7 +185,13 @@ def _perceptron(inputs: jax.Array, hidden_layers: Sequence[int], output_size: in
     initialiser = nn.initializers.glorot_uniform()
     widths = [*hidden_layers, output_size]
     for i, width in enumerate(widths):
-        inputs = nn.Dense(width, kernel_init=initialiser, name=f"layer_{i}")(inputs)
+        dense = nn.Dense(width, kernel_init=initialiser, dot_general=_product, name=f"layer_{i}")
+        inputs = dense(inputs)
         if i < len(hidden_layers):
             inputs = nn.relu(inputs)
     return inputs
+
+
+def _product(inputs: jax.Array, weights: jax.Array, *_: Any, **__: Any) -> jax.Array:
+    """What `nn.Dense` asks of `jax.lax.dot_general`."""
+    return product(inputs, weights)

@@ -105,8 +105,8 @@ class TrainingOptions(SettingOptions):
     """Least time between checkpoints; has no effect on results."""
 
     devices: str = ALL
-    """Devices that share the runs: a number, or all. Of a CPU that is one for each core given, at
-    most 8; bits do not depend on it, unless you ask for more."""
+    """Devices that share the runs: a number, or all. Of a CPU that is one for each core
+    given, and bits do not depend on how many."""
 
     track: Annotated[
         str | None,

@@ -3,7 +3,6 @@
 JAX makes as many devices of a CPU as it is asked for before it starts, and finds those of a GPU.
 """
 
-import os
 from collections.abc import Sequence
 
 from cgm_jax.config.fields import SettingError
@@ -14,13 +13,9 @@ ALL = "all"
 MAX_CPU_DEVICES = 256
 """More than the cores of any machine; each takes threads."""
 
-POOL_THREADS = 8
-"""Threads of XLA's pool on a CPU, and the most devices that share it. Bits depend on it, since the
-products that are summed over a batch are cut into as many parts; so it is the same on all machines.
-"""
-
 POOL_VARIABLE = "PJRT_NPROC"
-"""The size of the pool, unless there are more devices."""
+"""How many threads XLA's pool on a CPU has, unless there are more devices. More than cores cost a
+quarter of the time of an update; bits do not depend on them, see `cgm_jax.agents.products`."""
 
 
 def parse_devices(text: str) -> int | None:
@@ -41,28 +36,21 @@ def cpu_devices(asked: int | None, groups: Sequence[Group]) -> int:
     """How many devices of a CPU share the runs: none without a run.
 
     Args:
-        asked: for how many; None for one for each core, as far as bits do not depend on it.
+        asked: for how many; None for one for each core.
         groups: of runs, which train one after another.
     """
     most = max(min(len(group.runs), group.settings.side_by_side) for group in groups)
     if asked is None:
-        asked = min(available_cores(), POOL_THREADS)
+        asked = available_cores()
     return min(asked, MAX_CPU_DEVICES, most)
 
 
 def describe_devices() -> str:
-    """What JAX computes on, as far as bits depend on it; starts JAX.
-
-    On a CPU they do not depend on the number of devices, unless that is what decides how many
-    threads they have.
-    """
+    """What JAX computes on, as far as bits depend on it; starts JAX."""
     import jax
 
     devices, kind = jax.devices(), jax.devices()[0].device_kind
-    threads = os.environ.get(POOL_VARIABLE, "")
-    if kind == "cpu" and threads.isdigit() and len(devices) <= int(threads):
-        return kind
-    return f"{len(devices)} x {kind}"
+    return kind if kind == "cpu" else f"{len(devices)} x {kind}"
 
 
 def check_devices(asked: int | None) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import jax
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host.devices import POOL_THREADS, POOL_VARIABLE
-from cgm_jax.machine.allotment import share_cores
+from cgm_jax.host.devices import POOL_VARIABLE
+from cgm_jax.machine.allotment import available_cores, share_cores
 
 OPTIMISATION_LEVEL = "xla_backend_optimization_level"
 """LLVM's, for what XLA generates on a CPU. At 1 the training program compiles twice as fast as
@@ -39,7 +39,7 @@ def prepare_jax(cpu_devices: int = 1) -> None:
     if DEVICE_COUNT not in flags:
         with contextlib.suppress(RuntimeError):  # JAX has started; then it stays as it is
             jax.config.update("jax_num_cpu_devices", max(2, cpu_devices))
-    os.environ.setdefault(POOL_VARIABLE, str(POOL_THREADS))
+    os.environ.setdefault(POOL_VARIABLE, str(available_cores()))
     share_cores(cpu_devices)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (cache := _cache_directory()) is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))

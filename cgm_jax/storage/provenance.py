@@ -106,11 +106,11 @@ def moved_path(name: str, moved: Mapping[str, str]) -> Path:
 
 
 def _variables() -> dict[str, str]:
-    """Settings of JAX and of XLA's threads, less those of a cache, which change no result."""
+    """Settings of JAX, less those of a cache, which change no result."""
     return {
         name: value
         for name, value in sorted(os.environ.items())
-        if name.startswith(("JAX_", "PJRT_")) and "CACHE" not in name
+        if name.startswith("JAX_") and "CACHE" not in name
     }
 
 

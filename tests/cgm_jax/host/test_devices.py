@@ -1,4 +1,5 @@
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import pytest
@@ -7,8 +8,6 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.host import devices
 from cgm_jax.host.devices import (
-    POOL_THREADS,
-    POOL_VARIABLE,
     check_devices,
     cpu_devices,
     describe_devices,
@@ -49,14 +48,13 @@ def test_a_cpu_has_a_device_for_each_core_that_has_a_run(monkeypatch: pytest.Mon
     assert cpu_devices(8, [group]) == 3
     monkeypatch.setattr(devices, "available_cores", lambda: 64)
     (many,) = build_groups("smoke", {"seed": list(range(20)), "kappa": [4.0]})
-    assert cpu_devices(None, [many]) == POOL_THREADS
+    assert cpu_devices(None, [many]) == 20
     assert cpu_devices(12, [many]) == 12
 
 
-def test_the_number_of_cpu_devices_counts_where_it_decides_how_many_threads_they_have(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("kind", "shown"), [("cpu", "cpu"), ("A100", "3 x A100")])
+def test_the_number_of_devices_counts_where_bits_depend_on_it(
+    monkeypatch: pytest.MonkeyPatch, kind: str, shown: str
 ) -> None:
-    monkeypatch.setenv(POOL_VARIABLE, "8")
-    for number, shown in ((1, "cpu"), (8, "cpu"), (9, "9 x cpu")):
-        monkeypatch.setattr(jax, "devices", lambda number=number: jax.local_devices()[:1] * number)
-        assert describe_devices() == shown
+    monkeypatch.setattr(jax, "devices", lambda: [SimpleNamespace(device_kind=kind)] * 3)
+    assert describe_devices() == shown
