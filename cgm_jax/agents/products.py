@@ -4,7 +4,7 @@ XLA's library for matrix products on a CPU (YNNPACK) shares the blocks of a prod
 threads. Of a product with a transposed first factor it also cuts the sum, where there are fewer
 blocks than threads, into more terms the more threads there are. Gradients of weights are such
 products, over a minibatch: a run's bits would depend on the number of cores. So here the factor is
-transposed first, as an array of its own. That also takes less CPU time, but fewer threads.
+transposed first, as an array of its own, which takes no longer.
 """
 
 from typing import Any
