@@ -49,6 +49,7 @@ class Setting(NamedTuple):
         c_g: success rate aimed at; None where nothing is aimed at.
         kappa: sharpness; None likewise.
         stages: how stages before the goal are pursued and replayed; empty where they are not.
+        engine: of physics; "auto" is `native` in all that is on record.
     """
 
     env: str
@@ -63,6 +64,7 @@ class Setting(NamedTuple):
     c_g: float | None = None
     kappa: float | None = None
     stages: str = ""
+    engine: str = "auto"
 
     @property
     def task(self) -> str:
@@ -80,6 +82,7 @@ class Setting(NamedTuple):
             "masked hindsight": self.her_masks,
             "mask as input": self.mask_input,
             self.stages: bool(self.stages),
+            f"on {self.engine}": self.engine != "auto",
         }
         told = ", ".join(detail for detail, holds in details.items() if holds)
         name = f"{self.agent.upper()} + HER" if self.her else self.agent.upper()
@@ -119,6 +122,7 @@ def setting_of(settings: Mapping[str, Any]) -> Setting:
         settings.get("c_g"),
         settings.get("kappa"),
         _stages(settings) if settings["relabelling"] == "relay" else "",
+        settings["engine"],
     )
 
 

@@ -75,3 +75,10 @@ def test_random_actions_that_last_are_another_setting() -> None:
     assert not one.differs_in_masks_alone(five)
     assert one.differs_in_masks_alone(setting(random_action_steps=1, curriculum="full"))
     assert not one.differs_in_masks_alone(one)
+
+
+def test_the_same_on_another_engine_is_no_comparison_of_masks_or_learning() -> None:
+    other = setting(engine="mjx")
+    assert other.algorithm == "DDPG + HER (on mjx)"
+    assert not other.differs_in_masks_alone(setting())
+    assert not other.differs_in_learning_alone(setting())
