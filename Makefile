@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 # Two processes of tests, a file in one of them, so that its tests share what they compile.
 PARALLEL := --numprocesses 2 --dist loadfile
 
-.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows docs test-docs faults lint bench gpu transfer lock clean
+.PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows docs test-docs faults lint bench gpu transfer compare-sb3 lock clean
 
 setup: $(VENV)/.installed
 
@@ -182,6 +182,15 @@ transfer: setup $(VENV)-transfer/.installed
 $(VENV)-transfer/.installed: experiments/physics/transfer-requirements.txt
 	$(PYTHON) -m venv $(VENV)-transfer
 	$(VENV)-transfer/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	touch $@
+
+# This program beside Stable-Baselines3, two CPU hours for each run: ARGS="--cpu-seconds 60" tries it.
+compare-sb3: setup $(VENV)-compare/.installed
+	$(RUN) -m experiments.other_programs.compare $(ARGS)
+
+$(VENV)-compare/.installed: experiments/other_programs/sb3-requirements.txt
+	$(PYTHON) -m venv $(VENV)-compare
+	$(VENV)-compare/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	touch $@
 
 # Resolves pyproject.toml anew; commit the result.

@@ -2,11 +2,13 @@
 
 The listing:
 
-    run.py        trains, draws and tabulates the questions of plans.toml
-    report.py     the tables and numbers of README.md, from records
-    screens/      what README.md shows of questions once there is a record of them
-    learning/     questions of learning
-    physics/      questions of physics
-    results/      records of what was trained and measured; figures and tables made from them
-    table.py      CSV files; markdown.py the same for readers
+    run.py            trains, draws and tabulates the questions of plans.toml
+    report.py         the tables and numbers of README.md, from records
+    screens/          what README.md shows of questions once there is a record of them
+    learning/         questions of learning
+    physics/          questions of physics
+    other_programs/   Stable-Baselines3 beside this program
+    gpu/              what is to be known about a GPU
+    results/          records of what was trained and measured; figures and tables made from them
+    table.py          CSV files; markdown.py the same for readers
 """

@@ -1,0 +1,75 @@
+"""Who learns, on what, and with which settings. Needs no packages.
+
+Usual settings are those of Stable-Baselines3's documentation for hindsight (its page of examples):
+networks of 3 x 256, batches of 256, a learning rate of 0.001, a discount of 0.95, an update for
+every environment step, four hindsight goals of the future for each real one.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+TASKS = {"push": "FetchPush-v4", "pick_and_place": "FetchPickAndPlace-v4"}
+"""Names here and in Gymnasium-Robotics, which puts half of the goals of the latter in the air."""
+
+OURS = "cgm_jax"
+EVALUATION_EPISODES = 50
+STEPS_PER_EVALUATION = 20_000
+EPISODE_LENGTH = 50
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A way in which Stable-Baselines3 learns.
+
+    Attributes:
+        label: for the figure.
+        algorithm: the name of its class.
+        environments: side by side, in one process.
+        noise: standard deviation of Gaussian noise on actions; None for an agent with its own.
+        settings: what its class is given.
+    """
+
+    label: str
+    algorithm: str
+    environments: int = 1
+    noise: float | None = None
+    settings: tuple[tuple[str, Any], ...] = ()
+
+
+_USUAL = {
+    "buffer_size": 1_000_000,
+    "learning_rate": 1e-3,
+    "gamma": 0.95,
+    "batch_size": 256,
+    "learning_starts": 1000,
+    "policy_kwargs": {"net_arch": [256, 256, 256]},
+}
+
+# As the preset `cpu` here: sixteen episodes, then forty updates of narrow networks.
+_OUR_RATIO = {
+    **_USUAL,
+    "gamma": 0.98,
+    "batch_size": 512,
+    "train_freq": (EPISODE_LENGTH, "step"),
+    "gradient_steps": 40,
+    "policy_kwargs": {"net_arch": [128, 128, 128]},
+}
+
+ARMS = {
+    "sb3_sac": Arm("Stable-Baselines3, SAC + HER", "SAC", settings=tuple(_USUAL.items())),
+    "sb3_ddpg": Arm(
+        "Stable-Baselines3, DDPG + HER", "DDPG", noise=0.2, settings=tuple(_USUAL.items())
+    ),
+    "sb3_ddpg_our_ratio": Arm(
+        "the same, with as few updates as here",
+        "DDPG",
+        environments=16,
+        noise=0.2,
+        settings=tuple(_OUR_RATIO.items()),
+    ),
+}
+
+
+def label(arm: str) -> str:
+    """What an arm is called in the figure."""
+    return "this program, preset cpu" if arm == OURS else ARMS[arm].label

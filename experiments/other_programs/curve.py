@@ -1,0 +1,34 @@
+"""What every run writes while it learns. Needs no packages."""
+
+import csv
+import resource
+import time
+from pathlib import Path
+
+COLUMNS = ("env_steps", "cpu_s", "wall_s", "success_rate")
+_begun = time.monotonic()
+
+
+def cpu_seconds() -> float:
+    """Of this process and those that it has waited for, since it began."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def begin(path: Path) -> None:
+    """Begin the table anew."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(COLUMNS)
+
+
+def add(path: Path, env_steps: int, success_rate: float) -> None:
+    """Add an evaluation, as of now."""
+    row = (
+        env_steps,
+        f"{cpu_seconds():.1f}",
+        f"{time.monotonic() - _begun:.1f}",
+        round(success_rate, 4),
+    )
+    with path.open("a", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(row)

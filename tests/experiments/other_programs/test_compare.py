@@ -1,0 +1,118 @@
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import pyplot as plt
+
+from cgm_jax.config.fields import SettingError
+from experiments.other_programs import compare, figure, our_run
+from experiments.other_programs.arms import ARMS, OURS
+from experiments.table import read_table
+
+CURVE = "env_steps,cpu_s,wall_s,success_rate\n20000,10.0,11.0,0.1\n40000,20.0,22.0,0.9\n"
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[str]]:
+    """The commands of runs, which only write a curve."""
+    called: list[Sequence[str]] = []
+
+    def run(command: Sequence[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        called.append(command)
+        path = Path(command[-1])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(CURVE)
+        return subprocess.CompletedProcess(command, int("fails" in str(path)), "", "no torch")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(compare, "provenance", lambda *_: {"commit": "abc", "machine": "here"})
+    return called
+
+
+def test_each_missing_run_is_trained_once_and_noted(
+    tmp_path: Path, commands: list[Sequence[str]]
+) -> None:
+    python = tmp_path / "python"
+    python.touch()
+    words = ["--python", str(python), "--out", str(tmp_path / "out"), "--cpu-seconds", "60"]
+    assert compare.main([*words, "--tasks", "push"]) == 0
+    assert len(commands) == 1 + len(ARMS)
+    assert compare.main([*words, "--tasks", "push", "--seeds", "0", "1"]) == 0
+    assert len(commands) == 2 * (1 + len(ARMS))
+
+    rows = read_table(tmp_path / "out" / "runs.csv")
+    assert sorted((row["arm"], row["seed"]) for row in rows) == sorted(
+        (arm, seed) for arm in (OURS, *ARMS) for seed in "01"
+    )
+    assert {(row["task"], row["commit"], row["machine"], row["cpu_seconds"]) for row in rows} == {
+        ("push", "abc", "here", "60.0")
+    }
+    (ours,) = [command for command in commands[:4] if "sb3_run" not in str(command)]
+    assert list(ours[-4:-1]) == ["push", "0", "60.0"]
+    assert all(str(python) in command for command in commands[:4] if command is not ours)
+
+
+def test_a_run_that_fails_says_why_and_leaves_no_curve(
+    tmp_path: Path, commands: list[Sequence[str]]
+) -> None:
+    out = tmp_path / "fails"
+    with pytest.raises(RuntimeError, match="cgm_jax-push-0 has failed:\nno torch"):
+        compare.main(["--arms", OURS, "--tasks", "push", "--out", str(out)])
+    assert len(commands) == 1
+    assert not list(out.rglob("*.csv"))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--arms", "ppo"], "arms: 'ppo' is none of cgm_jax, sb3_sac"),
+        (["--tasks", "slide"], "tasks: 'slide' is none of push, pick_and_place"),
+        (["--cpu-seconds", "0"], "cpu_seconds: 0 is not above 0"),
+        (["--seeds", "0", "-1"], "seeds: -1 is below 0"),
+        (["--python", "nowhere"], "python: there is no nowhere; make compare-sb3 builds it"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(SettingError, match=message):
+        compare.main(words)
+
+
+def test_the_figure_shows_each_seed_by_seconds_and_by_steps(tmp_path: Path) -> None:
+    (tmp_path / "curves").mkdir()
+    for name in ("cgm_jax-push-0", "cgm_jax-push-1", "sb3_sac-push-0"):
+        (tmp_path / "curves" / f"{name}.csv").write_text(CURVE)
+    (tmp_path / "curves" / "sb3_ddpg-push-0.csv").write_text(CURVE.partition("\n")[0] + "\n")
+    curves = figure.curves_in(tmp_path)
+    assert {key: len(seeds) for key, seeds in curves.items()} == {
+        ("push", "cgm_jax"): 2,
+        ("push", "sb3_sac"): 1,
+    }
+    _, panel = plt.subplots()
+    figure.draw_arm(panel, curves["push", "cgm_jax"], "cpu_s", OURS)
+    first, second = panel.get_lines()
+    assert first.get_label() == "this program, preset cpu, two seeds"
+    assert str(second.get_label()).startswith("_")
+    np.testing.assert_array_equal(first.get_xydata(), [[10.0, 0.1], [20.0, 0.9]])
+    plt.close()
+    assert figure.draw(tmp_path).stat().st_size > 10_000
+
+
+def test_without_a_curve_there_is_no_figure(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="there is no curve"):
+        figure.draw(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_run_of_ours_ends_after_the_evaluation_that_finds_its_seconds_used_up(
+    tmp_path: Path,
+) -> None:
+    words = ["-m", our_run.__name__, "push", "0", "1", str(tmp_path / "curve.csv")]
+    result = subprocess.run([compare.sys.executable, *words], cwd=compare.ROOT, check=False)
+    assert result.returncode == 0
+    (row,) = read_table(tmp_path / "curve.csv")
+    assert row["env_steps"] == "20000"
+    assert float(row["cpu_s"]) > 1
+    assert 0 <= float(row["success_rate"]) <= 1
