@@ -19,7 +19,7 @@ from cgm_jax.host.startup import prepare_jax
 from tests.cgm_jax.agents import oracle
 from tests.cgm_jax.agents.trained import AGENTS, bits
 
-WIDTHS, BATCHES = (64, 128, 256), (200, 512, 1024)
+WIDTHS, BATCHES = (64, 128, 256), (200, 512)
 SIZES = oracle.SIZES._replace(inputs=28, action=4)
 
 
