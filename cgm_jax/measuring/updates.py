@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +16,17 @@ from cgm_jax.measuring.workload import cpu_group
 INPUTS, ACTIONS = 28, 4
 """Of push and pick-and-place."""
 
+PRODUCT_SIZE = 2048
+PRODUCT_OPERATIONS = 2.0 * PRODUCT_SIZE**3
+"""Of the product of two square matrices of that size."""
+
 
 def measure_updates(repeats: int) -> list[Figure]:
     """Floating-point rate of the network updates against that of a large matrix product.
 
     Of the paper's networks with several batches, and of the cpu preset.
     """
-    count, size = 10, 2048
-    matrix = jax.random.normal(jax.random.key(0), (size, size))
-    product = jax.jit(lambda matrix: matrix @ matrix)
+    count = 10
     paper = DDPG(target_update_every=1)
     preset = cpu_group("push").runs[0].hyper.agent
     narrow = dataclasses.replace(
@@ -59,12 +62,12 @@ def measure_updates(repeats: int) -> list[Figure]:
                 lambda agent=agent, batches=batches, updates=updates: jax.block_until_ready(
                     updates(agent, batches)
                 ),
-                lambda: product(matrix).block_until_ready(),
+                large_product(),
             ],
             repeats,
         )
-        rate = count * _update_operations(ddpg, batch_size) / update_seconds
-        peak = 2 * size**3 / product_seconds
+        rate = count * update_operations(ddpg, batch_size) / update_seconds
+        peak = PRODUCT_OPERATIONS / product_seconds
         name = f"update, {len(ddpg.hidden_layers)} x {ddpg.hidden_layers[0]}, batch {batch_size}"
         figures += [
             Figure(f"{name} / matrix product", rate / peak, "", low=0.5),
@@ -73,7 +76,14 @@ def measure_updates(repeats: int) -> list[Figure]:
     return [*figures, Figure("  matrix product", peak / 1e9, "GFLOP/s")]
 
 
-def _update_operations(ddpg: DDPG, batch_size: int) -> float:
+def large_product() -> Callable[[], object]:
+    """A call that takes `PRODUCT_OPERATIONS`."""
+    matrix = jax.random.normal(jax.random.key(0), (PRODUCT_SIZE, PRODUCT_SIZE))
+    product = jax.jit(lambda matrix: matrix @ matrix)
+    return lambda: product(matrix).block_until_ready()
+
+
+def update_operations(ddpg: DDPG, batch_size: int) -> float:
     """Floating-point operations in the matrix products of one update, on average."""
 
     def products(input_size: int, output_size: int) -> int:

@@ -19,4 +19,5 @@ From record to report:
     sliders.py             an environment: goals of twenty dimensions
     calibration.py         how far estimates of success are off: a program of its own
     calibration_errors.py  the errors in its table
+    seconds.py             how long the preset cpu takes to 90 %: a program of its own
 """

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from statistics import median
 from typing import Any
 
 from cgm_jax.config.grid import build_groups
@@ -282,7 +283,32 @@ def calibration() -> Table:
     return Table(["estimate", "measured", "mean error, points", "bias, points"], rows)
 
 
+def seconds() -> Table:
+    """How long the preset `cpu` takes to hold 90 %, by seed and in the median."""
+    by_task: dict[str, list[dict[str, str]]] = {}
+    for row in read_table(SWEEPS.parent / "seconds" / "seconds.csv"):
+        by_task.setdefault(row["task"], []).append(row)
+
+    def column(runs: list[dict[str, str]], name: str) -> list[float]:
+        return [float(run[name]) for run in runs]
+
+    rows = [
+        [
+            task.replace("_", "-"),
+            ", ".join(map(_thousands, column(runs, "env_steps"))),
+            _by_seed(column(runs, "held_s")),
+            *(_number(median(column(runs, name))) for name in ("held_s", "cpu_s", "ratio")),
+            _by_seed([100 * rate for rate in column(runs, "success_rate")]),
+        ]
+        for task, runs in by_task.items()
+    ]
+    columns = ["task", "environment steps, thousands", "seconds, by seed", "seconds, median"]
+    columns += ["CPU seconds, median", "times those at raw rates, median", "success then, %"]
+    return Table(columns, rows)
+
+
 TABLES: dict[str, Callable[..., Table]] = {
+    "seconds": seconds,
     "conditions": conditions,
     "planned": planned,
     "differences_from_the_paper": differences_from_the_paper,

@@ -1,0 +1,124 @@
+"""How long until 90 % are held? `python -m experiments.learning.seconds`, on an idle machine.
+
+Trains the preset `cpu`, one seed after the other, each in a process of its own and with an empty
+compilation cache, until it holds 90 %. Writes OUT/seconds.csv, one row a run: seconds from the
+command to that evaluation; CPU seconds of the whole process, figures included; and seconds that
+the machine would need for as many environment steps and updates at its raw rates, with all cores
+busy: of MuJoCo's own batch, and of a large matrix product.
+"""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.storage.layout import METRICS
+from cgm_jax.storage.run_directory import RunDirectory
+from experiments.pretrained import MEASURING, success
+from experiments.table import write_table
+
+OUT = Path(__file__).resolve().parents[1] / "results" / "seconds"
+
+
+@dataclass(kw_only=True)
+class SecondsOptions:
+    """Time the preset `cpu` until it holds 90 %."""
+
+    tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ("push", "pick_and_place")
+    """Of which tasks."""
+
+    seeds: int = 5
+    """Runs per task."""
+
+    out: Path = OUT
+    """Directory for the table."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program on command-line arguments; return its exit code."""
+    options = parse(SecondsOptions, arguments, "python -m experiments.learning.seconds")
+    rates, rows = raw_rates(), []
+    for task in options.tasks:
+        for seed in range(options.seeds):
+            words = ["--preset", "cpu", "--env", task, "--seed", str(seed), "--leave-at", "0.9"]
+            rows.append({"task": task, "seed": seed, **timed(task, words, *rates)})
+            print(rows[-1], flush=True)
+            options.out.mkdir(parents=True, exist_ok=True)
+            write_table(options.out / "seconds.csv", rows)
+    return 0
+
+
+def raw_rates() -> tuple[float, float]:
+    """Environment steps, and updates of the preset, per second at the machine's raw rates."""
+    from cgm_jax.host.startup import prepare_jax
+
+    prepare_jax()
+    from cgm_jax.measuring.figures import medians
+    from cgm_jax.measuring.rollouts import rollout_seconds
+    from cgm_jax.measuring.updates import PRODUCT_OPERATIONS, large_product, update_operations
+    from cgm_jax.measuring.workload import cpu_group
+
+    simulations, repeats, group = 64, 5, cpu_group("push")
+    _, raw = rollout_seconds("push", simulations, repeats)
+    (product,) = medians([large_product()], repeats)
+    operations = update_operations(group.runs[0].hyper.agent, group.settings.batch_size)
+    return 50 * simulations / raw, PRODUCT_OPERATIONS / product / operations
+
+
+def timed(task: str, words: Sequence[str], steps_rate: float, update_rate: float) -> dict[str, Any]:
+    """What one run took.
+
+    Args:
+        task: that it learns.
+        words: options of `cgm_jax.train`.
+        steps_rate: environment steps per second at the raw rate.
+        update_rate: updates per second at the raw rate.
+
+    Raises:
+        RuntimeError: training has failed.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        directory = Path(temporary) / "run"
+        environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(Path(temporary) / "cache")}
+        command = [sys.executable, "-m", "cgm_jax.train", *words, "--out", str(directory)]
+        began, used = time.time(), cpu_of_children()
+        result = subprocess.run(command, env=environment, capture_output=True, check=False)
+        if result.returncode:
+            raise RuntimeError(f"train {' '.join(words)} has failed: {result.stderr.decode()}")
+        used = cpu_of_children() - used
+        written = RunDirectory(directory)
+        last, config = written.metrics()[-1], written.config()
+        (run,) = (run for group in written.groups() for run in group.runs)
+        raw = last["env_steps"] / steps_rate + last["updates"] / update_rate
+        held_s = (directory / METRICS).stat().st_mtime - began
+        return {
+            "env_steps": last["env_steps"],
+            "updates": last["updates"],
+            "held_s": round(held_s, 1),
+            "cpu_s": round(used, 1),
+            "at_raw_rates_s": round(raw, 1),
+            "ratio": round(held_s / raw, 2),
+            "success_rate": success(task, {"": written.policy_path(run)}, MEASURING)[""],
+            "episodes": MEASURING.episodes,
+            "commit": config["commit"],
+            "machine": config["machine"],
+        }
+
+
+def cpu_of_children() -> float:
+    """CPU seconds of all processes that this one has waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+if __name__ == "__main__":
+    run_program(main)
