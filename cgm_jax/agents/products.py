@@ -1,10 +1,10 @@
 """A dense layer's matrix products, whose bits do not depend on how many threads compute them.
 
-XLA's library for matrix products on a CPU (YNNPACK) shares the blocks of a product out among its
-threads. Of a product with a transposed first factor it also cuts the sum, where there are fewer
-blocks than threads, into more terms the more threads there are. Gradients of weights are such
-products, over a minibatch: a run's bits would depend on the number of cores. So here the factor is
-transposed first, as an array of its own, which takes no longer.
+On a CPU XLA shares the blocks of a product out among its threads. Where the first factor is
+transposed it leaves the product to Eigen, which also cuts the sum, where there are fewer blocks
+than threads, into more parts the more threads there are. Gradients of weights are such products,
+over a minibatch: a run's bits would depend on the number of cores. So here the factor is transposed
+first, as an array of its own, which takes no longer.
 """
 
 from typing import Any

@@ -172,8 +172,7 @@ def test_the_gpu_preset_is_the_cpu_preset_with_many_environments(
     env: str, updates: int, environment_steps: int
 ) -> None:
     (gpu,) = build_groups("gpu", {"env": [env]}, single=True)
-    without_stages = {"relabelling": ["future"], "curriculum": ["cgm"]}
-    (cpu,) = build_groups("cpu", {"env": [env], **without_stages}, single=True)
+    (cpu,) = build_groups("cpu", {"env": [env]}, single=True)
     settings = gpu.settings
     assert settings.environments * 50 * settings.cycles_per_epoch * settings.epochs == (
         environment_steps
