@@ -4,7 +4,7 @@ On a CPU XLA shares the blocks of a product out among its threads. Where the fir
 transposed it leaves the product to Eigen, which also cuts the sum, where there are fewer blocks
 than threads, into more parts the more threads there are. Gradients of weights are such products,
 over a minibatch: a run's bits would depend on the number of cores. So here the factor is transposed
-first, as an array of its own, which takes no longer.
+first, as an array of its own, which takes no longer there. A GPU is left alone.
 """
 
 from typing import Any
@@ -19,6 +19,8 @@ def product(
 ) -> Float[Array, "*batch outputs"]:
     """`inputs @ weights`, with the same gradients on any number of threads.
 
+    It has no forward derivatives (`jax.jvp`, `jax.jacfwd`).
+
     Args:
         inputs: [..., inputs].
         weights: [inputs, outputs].
@@ -32,8 +34,13 @@ def _forward(inputs: jax.Array, weights: jax.Array) -> tuple[jax.Array, Any]:
 
 def _backward(saved: Any, gradient: jax.Array) -> tuple[jax.Array, jax.Array]:
     inputs, weights = saved
-    transposed = jax.lax.optimization_barrier(_rows(inputs).T)
-    return gradient @ weights.T, transposed @ _rows(gradient)
+    of_weights = jax.lax.platform_dependent(
+        _rows(inputs),
+        _rows(gradient),
+        cpu=lambda inputs, gradient: jax.lax.optimization_barrier(inputs.T) @ gradient,
+        default=lambda inputs, gradient: inputs.T @ gradient,
+    )
+    return gradient @ weights.T, of_weights
 
 
 product.defvjp(_forward, _backward)

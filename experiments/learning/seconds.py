@@ -2,11 +2,12 @@
 
 Trains the preset `cpu`, one seed after the other, each in a process of its own and with an empty
 compilation cache, until it holds 90 %. Writes OUT/seconds.csv, one row a run: seconds from the
-command to that evaluation; CPU seconds of the whole process, figures included; and seconds that
-the machine would need for as many environment steps and updates at its raw rates, with all cores
-busy: of MuJoCo's own batch, and of a large matrix product.
+command to that evaluation (inf where it was never held); CPU seconds of the whole process, figures
+included; and seconds that the machine would need for as many environment steps and updates at its
+raw rates, with all cores busy: of MuJoCo's own batch on the task, and of a large matrix product.
 """
 
+import math
 import os
 import resource
 import subprocess
@@ -20,12 +21,15 @@ from typing import Annotated, Any
 
 import tyro
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.results.statistics import first_to_hold
 from cgm_jax.storage.layout import METRICS
 from cgm_jax.storage.run_directory import RunDirectory
 from experiments.pretrained import MEASURING, success
-from experiments.table import write_table
+from experiments.table import read_table, write_table
 
+TASKS = ("push", "pick_and_place")
 OUT = Path(__file__).resolve().parents[1] / "results" / "seconds"
 
 
@@ -33,8 +37,8 @@ OUT = Path(__file__).resolve().parents[1] / "results" / "seconds"
 class SecondsOptions:
     """Time the preset `cpu` until it holds 90 %."""
 
-    tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ("push", "pick_and_place")
-    """Of which tasks."""
+    tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = TASKS
+    """Of which tasks; the others keep their rows."""
 
     seeds: int = 5
     """Runs per task."""
@@ -42,22 +46,38 @@ class SecondsOptions:
     out: Path = OUT
     """Directory for the table."""
 
+    def check(self) -> None:
+        """Check names and numbers.
+
+        Raises:
+            SettingError: a task that is not known, or no seed.
+        """
+        for task in self.tasks:
+            if task not in TASKS:
+                raise SettingError(f"tasks: {task!r} is none of {', '.join(TASKS)}")
+        if self.seeds < 1:
+            raise SettingError(f"seeds: {self.seeds} is below 1")
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SecondsOptions, arguments, "python -m experiments.learning.seconds")
-    rates, rows = raw_rates(), []
+    options.check()
+    path = options.out / "seconds.csv"
+    kept = read_table(path) if path.exists() else []
+    rows: list[Any] = [row for row in kept if row["task"] not in options.tasks]
+    options.out.mkdir(parents=True, exist_ok=True)
     for task in options.tasks:
+        rates = raw_rates(task)
         for seed in range(options.seeds):
-            words = ["--preset", "cpu", "--env", task, "--seed", str(seed), "--leave-at", "0.9"]
-            rows.append({"task": task, "seed": seed, **timed(task, words, *rates)})
+            words = ["--preset", "cpu", "--env", task, "--seed", str(seed)]
+            rows.append({"task": task, "seed": seed, **timed(task, words, 0.9, *rates)})
             print(rows[-1], flush=True)
-            options.out.mkdir(parents=True, exist_ok=True)
-            write_table(options.out / "seconds.csv", rows)
+            write_table(path, rows)
     return 0
 
 
-def raw_rates() -> tuple[float, float]:
+def raw_rates(task: str) -> tuple[float, float]:
     """Environment steps, and updates of the preset, per second at the machine's raw rates."""
     from cgm_jax.host.startup import prepare_jax
 
@@ -67,19 +87,22 @@ def raw_rates() -> tuple[float, float]:
     from cgm_jax.measuring.updates import PRODUCT_OPERATIONS, large_product, update_operations
     from cgm_jax.measuring.workload import cpu_group
 
-    simulations, repeats, group = 64, 5, cpu_group("push")
-    _, raw = rollout_seconds("push", simulations, repeats)
+    simulations, repeats, group = 64, 5, cpu_group(task)
+    _, raw = rollout_seconds(task, simulations, repeats)
     (product,) = medians([large_product()], repeats)
     operations = update_operations(group.runs[0].hyper.agent, group.settings.batch_size)
     return 50 * simulations / raw, PRODUCT_OPERATIONS / product / operations
 
 
-def timed(task: str, words: Sequence[str], steps_rate: float, update_rate: float) -> dict[str, Any]:
-    """What one run took.
+def timed(
+    task: str, words: Sequence[str], level: float, steps_rate: float, update_rate: float
+) -> dict[str, Any]:
+    """What one run took until it held a success, which leaves then.
 
     Args:
         task: that it learns.
         words: options of `cgm_jax.train`.
+        level: the success that is to be held.
         steps_rate: environment steps per second at the raw rate.
         update_rate: updates per second at the raw rate.
 
@@ -89,20 +112,23 @@ def timed(task: str, words: Sequence[str], steps_rate: float, update_rate: float
     with tempfile.TemporaryDirectory() as temporary:
         directory = Path(temporary) / "run"
         environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(Path(temporary) / "cache")}
-        command = [sys.executable, "-m", "cgm_jax.train", *words, "--out", str(directory)]
+        command = [sys.executable, "-m", "cgm_jax.train", *words, "--leave-at", str(level)]
         began, used = time.time(), cpu_of_children()
-        result = subprocess.run(command, env=environment, capture_output=True, check=False)
+        result = subprocess.run(
+            [*command, "--out", str(directory)], env=environment, capture_output=True, check=False
+        )
         if result.returncode:
             raise RuntimeError(f"train {' '.join(words)} has failed: {result.stderr.decode()}")
         used = cpu_of_children() - used
         written = RunDirectory(directory)
-        last, config = written.metrics()[-1], written.config()
+        rows, config = written.metrics(), written.config()
         (run,) = (run for group in written.groups() for run in group.runs)
-        raw = last["env_steps"] / steps_rate + last["updates"] / update_rate
-        held_s = (directory / METRICS).stat().st_mtime - began
+        raw = rows[-1]["env_steps"] / steps_rate + rows[-1]["updates"] / update_rate
+        held = first_to_hold(rows, level) is not None
+        held_s = (directory / METRICS).stat().st_mtime - began if held else math.inf
         return {
-            "env_steps": last["env_steps"],
-            "updates": last["updates"],
+            "env_steps": rows[-1]["env_steps"],
+            "updates": rows[-1]["updates"],
             "held_s": round(held_s, 1),
             "cpu_s": round(used, 1),
             "at_raw_rates_s": round(raw, 1),

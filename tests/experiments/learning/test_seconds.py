@@ -1,20 +1,41 @@
+import math
+
 import pytest
 
+from cgm_jax.config.fields import SettingError
+from experiments.learning import seconds
 from experiments.learning.seconds import timed
+
+SMOKE = ["--preset", "smoke", "--env", "reach"]
 
 
 @pytest.mark.slow
 def test_a_run_is_timed_beside_what_raw_rates_would_need() -> None:
-    row = timed("reach", ["--preset", "smoke", "--env", "reach"], 100.0, 4.0)
-    assert (row["env_steps"], row["updates"]) == (800, 16)  # two epochs of two cycles
-    assert row["at_raw_rates_s"] == 800 / 100 + 16 / 4
+    row = timed("reach", [*SMOKE, "--epochs", "5"], 0.0, 100.0, 4.0)
+    assert (row["env_steps"], row["updates"]) == (1200, 24)  # left after three evaluations
+    assert row["at_raw_rates_s"] == 1200 / 100 + 24 / 4
     assert 1 < row["held_s"] < 600
     assert row["cpu_s"] > 1
-    assert row["ratio"] == pytest.approx(row["held_s"] / 12, abs=0.01)
+    assert row["ratio"] == pytest.approx(row["held_s"] / 18, abs=0.01)
     assert row["success_rate"] in [k / 1000 for k in range(1001)]
     assert row["commit"]
 
 
+@pytest.mark.slow
+def test_a_run_that_never_holds_the_success_has_no_time() -> None:
+    row = timed("reach", SMOKE, 1.0, 100.0, 4.0)
+    assert (row["env_steps"], row["held_s"], row["ratio"]) == (800, math.inf, math.inf)
+
+
 def test_a_run_that_fails_is_named() -> None:
     with pytest.raises(RuntimeError, match="train --preset none has failed"):
-        timed("reach", ["--preset", "none"], 1.0, 1.0)
+        timed("reach", ["--preset", "none"], 0.9, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["slide"], "tasks: 'slide' is none of push"), (["--seeds", "0"], "seeds: 0 is below 1")],
+)
+def test_what_cannot_be_timed_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(SettingError, match=message):
+        seconds.main(words)
