@@ -184,7 +184,8 @@ $(VENV)-transfer/.installed: experiments/physics/transfer-requirements.txt
 	$(VENV)-transfer/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	touch $@
 
-# This program beside Stable-Baselines3, two CPU hours for each run: ARGS="--cpu-seconds 60" tries it.
+# This program beside Stable-Baselines3, two CPU hours for each run; to try it:
+# ARGS="--cpu-seconds 60 --out runs/compare".
 compare-sb3: setup $(VENV)-compare/.installed
 	$(RUN) -m experiments.other_programs.compare $(ARGS)
 

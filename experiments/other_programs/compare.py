@@ -1,15 +1,18 @@
 """This program beside Stable-Baselines3: `make compare-sb3`.
 
-Trains every arm on every task, each run on one core, until it has used its CPU seconds (this
-program's run ends with the preset). Writes the curve of each into OUT/curves, which run was made
-where into OUT/runs.csv, and the figure. Runs that are there are not trained again.
+Trains every arm on every task, each run on one core (where the system has `taskset`), until it has
+used its CPU seconds, from the start of its process with an empty compilation cache; this program's
+run ends with the preset. Writes the curve of each into OUT/curves, which run was made where into
+OUT/runs.csv, and the figure. Runs that are there with as many CPU seconds are not trained again.
 """
 
 import os
 import queue
+import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +20,8 @@ from typing import NamedTuple
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.machine.allotment import available_cores
 from cgm_jax.storage.provenance import provenance
 from experiments.other_programs.arms import ARMS, OURS, TASKS
 from experiments.other_programs.figure import draw
@@ -85,28 +90,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(CompareOptions, arguments, "python -m experiments.other_programs.compare")
     options.check()
+    here = provenance("cpu", ())
+    made = {key: here[key] for key in ("commit", "machine")}
     wanted = [
         Run(arm, task, seed)
         for seed in options.seeds
         for task in options.tasks
         for arm in options.arms
     ]
-    missing = [run for run in wanted if not run.path(options.out).exists()]
+    there = runs_made(options)
+    failures = []
+    for run, failure in train_all([run for run in wanted if run not in there], options):
+        if failure is not None:
+            failures.append(failure)
+            continue
+        note(run, options, made)
+        run.partial(options.out).replace(run.path(options.out))
+        print(f"trained: {run.arm}, {run.task}, seed {run.seed}", flush=True)
+    for failure in failures:
+        print(f"error: {failure}", file=sys.stderr)
+    if failures:
+        return ExitCode.FAILED
+    draw(options.out)
+    return ExitCode.DONE
+
+
+def train_all(
+    runs: Sequence[Run], options: CompareOptions
+) -> Iterator[tuple[Run, BaseException | None]]:
+    """Train runs side by side, one on each core; each when it is over, and how it failed."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
     free: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for core in cores:
+    for core in cores[: available_cores()]:
         free.put(core)
-    with ThreadPoolExecutor(len(cores)) as pool:
-        for done in as_completed([pool.submit(train, run, options, free) for run in missing]):
-            run = done.result()
-            note(run, options)
-            run.partial(options.out).replace(run.path(options.out))
-            print(f"trained: {run.arm}, {run.task}, seed {run.seed}", flush=True)
-    draw(options.out)
-    return 0
+    with ThreadPoolExecutor(free.qsize()) as pool:
+        pending = {pool.submit(train, run, options, free): run for run in runs}
+        try:
+            for future in as_completed(pending):
+                yield pending[future], future.exception()
+        finally:  # stopped: what has not begun is not to begin
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
-def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> Run:
+def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> None:
     """Train a run on a core that is free.
 
     Raises:
@@ -121,36 +147,43 @@ def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> 
         command = (str(options.python), "-m", module, run.arm, *rest)
     core = free.get()
     try:
-        result = subprocess.run(
-            on_core(core, command),
-            cwd=ROOT,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        with tempfile.TemporaryDirectory() as cache:
+            settings = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+            result = subprocess.run(
+                on_core(core, command),
+                cwd=ROOT,
+                env={**os.environ, **settings, "JAX_COMPILATION_CACHE_DIR": cache},
+                capture_output=True,
+                text=True,
+                check=False,
+            )
     finally:
         free.put(core)
     if result.returncode:
         raise RuntimeError(f"{partial.stem} has failed:\n{result.stderr}")
-    return run
 
 
 def on_core(core: int, command: Sequence[str]) -> Sequence[str]:
     """The command, kept to one core where the system can."""
-    return ("taskset", "--cpu-list", str(core), *command) if sys.platform == "linux" else command
+    return ("taskset", "--cpu-list", str(core), *command) if shutil.which("taskset") else command
 
 
-def note(run: Run, options: CompareOptions) -> None:
-    """Keep where a run was made, one row each."""
+def runs_made(options: CompareOptions) -> set[Run]:
+    """Runs whose curve is there, with as many CPU seconds as are asked for."""
     path = options.out / "runs.csv"
-    here = provenance("cpu", ())
-    row = {
-        **run._asdict(),
-        "cpu_seconds": options.cpu_seconds,
-        "commit": here["commit"],
-        "machine": here["machine"],
+    rows = read_table(path) if path.exists() else []
+    made = {
+        Run(row["arm"], row["task"], int(row["seed"]))
+        for row in rows
+        if float(row["cpu_seconds"]) == options.cpu_seconds
     }
+    return {run for run in made if run.path(options.out).exists()}
+
+
+def note(run: Run, options: CompareOptions, made: Mapping[str, str]) -> None:
+    """Keep with which CPU seconds, and where, a run was made: a row each."""
+    path = options.out / "runs.csv"
+    row = {**run._asdict(), "cpu_seconds": options.cpu_seconds, **made}
     others = read_table(path) if path.exists() else []
     named = {name: str(value) for name, value in run._asdict().items()}
     kept = [other for other in others if {name: other[name] for name in named} != named]

@@ -2,11 +2,9 @@
 
 import csv
 import resource
-import time
 from pathlib import Path
 
-COLUMNS = ("env_steps", "cpu_s", "wall_s", "success_rate")
-_begun = time.monotonic()
+COLUMNS = ("env_steps", "cpu_s", "success_rate")
 
 
 def cpu_seconds() -> float:
@@ -24,11 +22,6 @@ def begin(path: Path) -> None:
 
 def add(path: Path, env_steps: int, success_rate: float) -> None:
     """Add an evaluation, as of now."""
-    row = (
-        env_steps,
-        f"{cpu_seconds():.1f}",
-        f"{time.monotonic() - _begun:.1f}",
-        round(success_rate, 4),
-    )
+    row = env_steps, f"{cpu_seconds():.1f}", round(success_rate, 4)
     with path.open("a", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(row)

@@ -1,4 +1,4 @@
-"""One run of this program, with the preset `cpu`.
+"""One run of this program, with the preset `cpu`, on its own simulation of the task.
 
     python -m experiments.other_programs.our_run TASK SEED CPU_SECONDS OUT.csv
 
@@ -28,8 +28,7 @@ class Curve(Tracker):
     """Writes every evaluation, and ends training once the CPU seconds are used up."""
 
     def begin(self, run: str, settings: Mapping[str, Any], sent: int) -> int:
-        """Begin the table."""
-        begin(Path(os.environ[PATH]))
+        """The table is begun already."""
         return sent
 
     def metrics(self, run: str, epoch: int, values: Mapping[str, float]) -> None:
@@ -45,16 +44,18 @@ class Curve(Tracker):
         """All is written."""
 
 
-def main(task: str, seed: int, limit: float, path: Path) -> int:
+def main(task: str, seed: int, limit: float, path: Path, preset: str = "cpu") -> int:
     """Train until the CPU seconds are used up, or for the preset's epochs; the exit code."""
     os.environ |= {PATH: str(path.resolve()), LIMIT: str(limit)}
-    options = ["--preset", "cpu", "--env", task, "--seed", str(seed)]
+    begin(path)
+    options = ["--preset", preset, "--env", task, "--seed", str(seed)]
     if task == "pick_and_place":
         options += ["--air-probability", "0.5"]
     with tempfile.TemporaryDirectory() as directory:
         out = ["--out", str(Path(directory) / "run"), "--track", f"{__file__}:Curve"]
         code = train.main([*options, *out])
-    return ExitCode.DONE if code == ExitCode.STOPPED else code
+    used_up = code == ExitCode.STOPPED and cpu_seconds() > limit
+    return ExitCode.DONE if used_up or code == ExitCode.DIVERGED else code
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
     python -m experiments.other_programs.sb3_run ARM TASK SEED CPU_SECONDS OUT.csv
 
-An evaluation every 20,000 environment steps: 50 episodes without noise, of other goals each time.
+An evaluation every 20,000 environment steps, and one in the end: 50 episodes without noise, with
+other goals each time.
 """
 
 # Stable-Baselines3 and Gymnasium-Robotics are not installed where the type checker runs.
@@ -46,10 +47,11 @@ class Curve(BaseCallback):
 
     def _on_step(self) -> bool:
         """After each step of all environments."""
-        if self.num_timesteps - self._evaluated >= STEPS_PER_EVALUATION:
+        going_on = cpu_seconds() < self._limit
+        if self.num_timesteps - self._evaluated >= STEPS_PER_EVALUATION or not going_on:
             self._evaluated = self.num_timesteps
             add(self._path, self.num_timesteps, self._success_rate())
-        return cpu_seconds() < self._limit
+        return going_on
 
     def _success_rate(self) -> float:
         successes: list[float] = []

@@ -27,7 +27,7 @@ def main() -> None:
     """Update and print."""
     prepare_jax()
     jax.config.update("jax_enable_compilation_cache", False)  # its programs' bits would do
-    cases = itertools.product(AGENTS, WIDTHS, BATCHES)
+    cases = [*itertools.product(AGENTS, WIDTHS, BATCHES), ("ddpg", 256, 4096)]
     print(json.dumps({f"{case}": digest(*case) for case in cases}))
 
 

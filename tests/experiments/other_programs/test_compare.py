@@ -1,4 +1,5 @@
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from experiments.other_programs import compare, figure, our_run
 from experiments.other_programs.arms import ARMS, OURS
 from experiments.table import read_table
 
-CURVE = "env_steps,cpu_s,wall_s,success_rate\n20000,10.0,11.0,0.1\n40000,20.0,22.0,0.9\n"
+CURVE = "env_steps,cpu_s,success_rate\n20000,10.0,0.1\n40000,20.0,0.9\n"
 
 
 @pytest.fixture
@@ -25,7 +26,8 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[str]]:
         path = Path(command[-1])
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(CURVE)
-        return subprocess.CompletedProcess(command, int("fails" in str(path)), "", "no torch")
+        fails = "sb3_sac" in path.name and "fails" in str(path)
+        return subprocess.CompletedProcess(command, int(fails), "", "no torch")
 
     monkeypatch.setattr(subprocess, "run", run)
     monkeypatch.setattr(compare, "provenance", lambda *_: {"commit": "abc", "machine": "here"})
@@ -55,14 +57,27 @@ def test_each_missing_run_is_trained_once_and_noted(
     assert all(str(python) in command for command in commands[:4] if command is not ours)
 
 
-def test_a_run_that_fails_says_why_and_leaves_no_curve(
-    tmp_path: Path, commands: list[Sequence[str]]
+def test_other_cpu_seconds_are_trained_anew(tmp_path: Path, commands: list[Sequence[str]]) -> None:
+    words = ["--arms", OURS, "--tasks", "push", "--out", str(tmp_path)]
+    for limit, trained in (("60", 1), ("60", 1), ("7200", 2), ("7200", 2)):
+        assert compare.main([*words, "--cpu-seconds", limit]) == 0
+        assert len(commands) == trained
+    (row,) = read_table(tmp_path / "runs.csv")
+    assert row["cpu_seconds"] == "7200.0"
+
+
+def test_a_run_that_fails_says_why_and_costs_the_others_nothing(
+    tmp_path: Path, commands: list[Sequence[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "fails"
-    with pytest.raises(RuntimeError, match="cgm_jax-push-0 has failed:\nno torch"):
-        compare.main(["--arms", OURS, "--tasks", "push", "--out", str(out)])
-    assert len(commands) == 1
-    assert not list(out.rglob("*.csv"))
+    out, python = tmp_path / "fails", tmp_path / "python"
+    python.touch()
+    words = ["--arms", "sb3_sac", OURS, "--python", str(python), "--out", str(out)]
+    assert compare.main([*words, "--tasks", "push"]) == 1
+    assert "error: sb3_sac-push-0 has failed:\nno torch" in capsys.readouterr().err
+    assert len(commands) == 2
+    assert [path.name for path in (out / "curves").glob("*.csv")] == ["cgm_jax-push-0.csv"]
+    assert compare.main([*words, "--tasks", "push"]) == 1
+    assert len(commands) == 3  # the one that failed, again
 
 
 @pytest.mark.parametrize(
@@ -93,7 +108,7 @@ def test_the_figure_shows_each_seed_by_seconds_and_by_steps(tmp_path: Path) -> N
     _, panel = plt.subplots()
     figure.draw_arm(panel, curves["push", "cgm_jax"], "cpu_s", OURS)
     first, second = panel.get_lines()
-    assert first.get_label() == "this program, preset cpu, two seeds"
+    assert first.get_label() == "this program, preset cpu, own simulation, two seeds"
     assert str(second.get_label()).startswith("_")
     np.testing.assert_array_equal(first.get_xydata(), [[10.0, 0.1], [20.0, 0.9]])
     plt.close()
@@ -106,11 +121,20 @@ def test_without_a_curve_there_is_no_figure(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_run_of_ours_may_end_with_its_preset(tmp_path: Path) -> None:
+    path = tmp_path / "curve.csv"
+    code = "from experiments.other_programs.our_run import main; from pathlib import Path; "
+    code += f"raise SystemExit(main('reach', 0, 1e9, Path({str(path)!r}), 'smoke'))"
+    subprocess.run([sys.executable, "-c", code], cwd=compare.ROOT, check=True)
+    assert [row["env_steps"] for row in read_table(path)] == ["400", "800"]
+
+
+@pytest.mark.slow
 def test_a_run_of_ours_ends_after_the_evaluation_that_finds_its_seconds_used_up(
     tmp_path: Path,
 ) -> None:
     words = ["-m", our_run.__name__, "push", "0", "1", str(tmp_path / "curve.csv")]
-    result = subprocess.run([compare.sys.executable, *words], cwd=compare.ROOT, check=False)
+    result = subprocess.run([sys.executable, *words], cwd=compare.ROOT, check=False)
     assert result.returncode == 0
     (row,) = read_table(tmp_path / "curve.csv")
     assert row["env_steps"] == "20000"
