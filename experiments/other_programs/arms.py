@@ -3,7 +3,8 @@
 Usual settings are those that Stable-Baselines3's documentation gives for hindsight (for a parking
 task; nothing was tuned for Fetch): networks of 3 x 256, batches of 256, a learning rate of 0.001, a
 discount of 0.95, an update for every environment step, four hindsight goals of the future for each
-real one.
+real one. Only the first update comes later, after 1,000 steps, when all environments have whole
+episodes.
 """
 
 from dataclasses import dataclass

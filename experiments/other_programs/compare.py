@@ -104,8 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if failure is not None:
             failures.append(failure)
             continue
-        note(run, options, made)
         run.partial(options.out).replace(run.path(options.out))
+        note(run, options, made)  # last: what is noted is there
         print(f"trained: {run.arm}, {run.task}, seed {run.seed}", flush=True)
     for failure in failures:
         print(f"error: {failure}", file=sys.stderr)
