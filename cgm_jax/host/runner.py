@@ -4,7 +4,7 @@ import itertools
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 
@@ -21,6 +21,7 @@ from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
+from cgm_jax.loop.compiler import Compiler
 from cgm_jax.loop.devices import Device, share
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
@@ -162,21 +163,22 @@ def run_jobs(
     rows, last = [], []
     shard = directory.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
-    for index, job in enumerate(jobs):
-        training = _begin(job, index, directory)
-        _keep_lost_metrics(training, index, directory, rows)
-        directory.replace_metrics(rows + training.rows)
-        settings = job.group.settings
-        progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
-        recorder = Recorder(
-            directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
-        )
-        if not _train(job, training, recorder, progress, interruption):
-            return None
-        progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
-        tracking.end()
-        rows += training.rows
-        last += training.rows[-len(job.group.runs) :]
+    with Compiler() as compiler:
+        for index, job in enumerate(jobs):
+            job, training = _begin(job, index, directory, compiler)
+            _keep_lost_metrics(training, index, directory, rows)
+            directory.replace_metrics(rows + training.rows)
+            settings = job.group.settings
+            progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
+            recorder = Recorder(
+                directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
+            )
+            if not _train(job, training, recorder, progress, interruption):
+                return None
+            progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
+            tracking.end()
+            rows += training.rows
+            last += training.rows[-len(job.group.runs) :]
     return last
 
 
@@ -195,8 +197,10 @@ def _shapes(job: Job) -> TrainingState:
     return jax.eval_shape(jax.vmap(job.programs.trainer.init), job.group.hyper())
 
 
-def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
-    """A job's last checkpoint, or its beginning."""
+def _begin(
+    job: Job, index: int, directory: RunDirectory, compiler: Compiler
+) -> tuple[Job, TrainingProgress]:
+    """A job whose programs are being compiled, and its last checkpoint or its beginning."""
     hyper = job.group.hyper()
     training, notes = load_checkpoint(directory.path / "checkpoints", index, _shapes(job))
     if training is not None:
@@ -210,17 +214,20 @@ def _begin(job: Job, index: int, directory: RunDirectory) -> TrainingProgress:
     for note in notes:
         print(f"{note}; {where}", file=sys.stderr)
     with device_errors():
+        if training is None or not _is_finished(job.group, training):
+            programs = compiler.programs(job.programs, hyper, starts=training is None)
+            job = replace(job, programs=programs)
         if training is None:
             state = job.programs.start(hyper)
             if (start := start_beside(directory.path / CONFIG)) is not None:
                 filled_up = job.programs.spread(hyper)
                 warm = start_from(read_source(start), job.programs, filled_up, state)
-                state = job.programs.spread(warm)
+                state = jax.device_put(warm, jax.tree.map(lambda leaf: leaf.sharding, state))
             training = TrainingProgress(state, runs=len(job.group.runs))
         else:
             training.state = job.programs.spread(training.state)
         jax.block_until_ready(training.state)
-    return training
+    return job, training
 
 
 def _renamed(rows: Sequence[Row], group: Group) -> list[Row]:

@@ -1,6 +1,6 @@
 """What turns: training as pure functions over one state, jitted and vmapped over runs.
 
-training.py     `make_trainer`, and the compiled programs: start here
+training.py     `make_trainer`, and the compiled programs: start here; compiler.py compiles them
 cycle.py        choose goals, roll out, store, learn
 rollout.py      episodes of many environments in one scan; exploration.py action noise
 learning.py     minibatches and updates; divergence.py freezes a run that diverges

@@ -86,6 +86,12 @@ def _spread(team: Team, leaf: Any) -> jax.Array:
     return jax.device_put(leaf, NamedSharding(team.mesh, SPREAD))
 
 
+def spread_shapes(team: Team, tree: Tree) -> Tree:
+    """Shapes whose leading axis is that of runs, rows filled up, with where `spread` puts them."""
+    sharding = NamedSharding(team.mesh, SPREAD)
+    return jax.tree.map(lambda leaf: leaf.update(sharding=sharding), tree)
+
+
 def on_each(team: Team, function: Callable[..., Any], *specs: PartitionSpec) -> Callable[..., Any]:
     """Have each device of a team call a function.
 

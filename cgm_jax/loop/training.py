@@ -24,6 +24,7 @@ from cgm_jax.loop.devices import (
     on_each,
     own_rows,
     spread,
+    spread_shapes,
     team_of,
 )
 from cgm_jax.loop.evaluation import Metrics, evaluate
@@ -96,6 +97,7 @@ class Programs(NamedTuple):
     Attributes:
         trainer: whose programs these are.
         spread: states from a file to what the others take: on the devices, with rows left over.
+        shapes: hyperparameters to mere shapes of the states that `start` makes.
         start: hyperparameters to states, [rows, ...]: the runs first, then rows left over.
         train: states, hyperparameters and a number of cycles to states. Takes the states over:
             their buffers are reused.
@@ -104,6 +106,7 @@ class Programs(NamedTuple):
 
     trainer: Trainer
     spread: Callable[[Any], Any]
+    shapes: Callable[[Hyperparameters], TrainingState]
     start: Callable[[Hyperparameters], TrainingState]
     train: Callable[[TrainingState, Hyperparameters, int], TrainingState]
     evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
@@ -133,10 +136,12 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
         after, metrics = _over_rows(on_cpu, one, count)(states, own)
         return after.replace(replay=states.replay), metrics
 
+    starting = jax.jit(on_each(team, start, ON_EACH))
     return Programs(
         trainer=trainer,
         spread=partial(spread, team),
-        start=jax.jit(on_each(team, start, ON_EACH)),
+        shapes=lambda hyper: spread_shapes(team, jax.eval_shape(starting, hyper)),
+        start=starting,
         train=jax.jit(on_each(team, train, SPREAD, ON_EACH, ON_EACH), donate_argnums=0),
         evaluate=jax.jit(on_each(team, evaluate, SPREAD, ON_EACH), donate_argnums=0),
     )

@@ -14,13 +14,16 @@ def first_step() -> None:
     """Take one training step; imports JAX, so that the start includes it."""
     import jax
 
+    from cgm_jax.loop.compiler import Compiler
     from cgm_jax.loop.environment import make_environment
     from cgm_jax.loop.training import make_programs, make_trainer
 
     group = cpu_group("push")
     programs = make_programs(make_trainer(make_environment(group.settings), group.settings))
     hyper = group.hyper()
-    jax.block_until_ready(programs.train(programs.start(hyper), hyper, 1))
+    with Compiler() as compiler:
+        programs = compiler.programs(programs, hyper)
+        jax.block_until_ready(programs.train(programs.start(hyper), hyper, 1))
 
 
 def measure_starts() -> list[Figure]:

@@ -10,7 +10,6 @@ nothing has disturbed, and every epoch must be there once.
 import argparse
 import contextlib
 import csv
-import functools
 import itertools
 import os
 import random
@@ -30,6 +29,7 @@ from cgm_jax import sweep
 from cgm_jax.host import runner
 from cgm_jax.results import figures
 from cgm_jax.storage.checkpoints import damage, finished_checkpoints, manifest_path
+from tests.cgm_jax.shared_programs import shared_programs
 from tests.cgm_jax.sweeps import POINT_MASS, ROOT, assert_same_results, rows
 from tests.examples.point_mass import PointMass
 
@@ -69,16 +69,9 @@ class Step:
 @contextlib.contextmanager
 def compiled_once() -> Iterator[None]:
     """Let sweeps on the point mass in this process share their programs, and draw no figures."""
-    trainers, made = functools.cache(runner.make_trainer), {}
-    make = runner.make_programs
-
-    def programs(trainer: runner.Trainer, _: object) -> object:
-        return made.setdefault(id(trainer), make(trainer))
-
     with (
+        shared_programs(),
         mock.patch.object(runner, "make_environment", return_value=PointMass()),
-        mock.patch.object(runner, "make_trainer", trainers),
-        mock.patch.object(runner, "make_programs", programs),
         mock.patch.object(figures, "draw_figures"),
     ):
         yield

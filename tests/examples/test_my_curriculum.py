@@ -14,6 +14,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.host import recorder, runner, session
 from cgm_jax.results import figures
+from tests.cgm_jax.shared_programs import shared_programs
 from tests.cgm_jax.sweeps import POINT_MASS
 
 GROWING = f"{Path(__file__).with_name('my_curriculum.py')}:Growing"
@@ -53,12 +54,7 @@ def test_it_trains_stops_and_resumes_by_the_command_line(
     patient = functools.partial(session.Interruption, patience=300.0)
     monkeypatch.setattr(session, "Interruption", patient)
     monkeypatch.setattr(figures, "draw_figures", lambda _: None)
-    make, programs = runner.make_programs, {}
     monkeypatch.setattr(runner, "make_environment", functools.cache(runner.make_environment))
-    monkeypatch.setattr(runner, "make_trainer", functools.cache(runner.make_trainer))
-    monkeypatch.setattr(
-        runner, "make_programs", lambda trainer, _: programs.setdefault(id(trainer), make(trainer))
-    )
     record = recorder.Recorder.record_epoch
 
     def stop(self: Any, training: Any, metrics: Any) -> Any:
@@ -67,12 +63,13 @@ def test_it_trains_stops_and_resumes_by_the_command_line(
 
     out = tmp_path / "out"
     arguments = [*OPTIONS, "--set", "gain=0.5,0.7", "--out", str(out)]
-    with monkeypatch.context() as patch:
-        patch.setattr(recorder.Recorder, "record_epoch", stop)
-        assert sweep.main(arguments) == 75
-    checkpoints = {path.name for path in (out / "checkpoints").glob("*.npz")}
-    assert "group0_epoch000001_cycle000000.npz" in checkpoints
-    assert sweep.main(arguments) == 0
+    with shared_programs():
+        with monkeypatch.context() as patch:
+            patch.setattr(recorder.Recorder, "record_epoch", stop)
+            assert sweep.main(arguments) == 75
+        checkpoints = {path.name for path in (out / "checkpoints").glob("*.npz")}
+        assert "group0_epoch000001_cycle000000.npz" in checkpoints
+        assert sweep.main(arguments) == 0
     rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert [row["epoch"] for row in rows] == [1, 1, 2, 2]
     assert {row["curriculum"] for row in rows} == {GROWING}

@@ -1,0 +1,59 @@
+"""What `--dry-run` says of a sweep, of which nothing is made."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cgm_jax import sweep
+from cgm_jax.config.fields import SettingError
+from cgm_jax.host import dry_run
+from tests.cgm_jax.host.in_process import OPTIONS, train
+from tests.cgm_jax.sweeps import POINT_MASS, rows
+
+pytestmark = pytest.mark.usefixtures("in_process")
+
+
+def files(path: Path) -> dict[Path, int]:
+    return {one: one.stat().st_mtime_ns for one in path.rglob("*") if one.is_file()}
+
+
+def test_a_dry_run_says_what_would_be_trained_and_makes_nothing(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(dry_run, "MEASURED_SECONDS", 0.0)
+    assert sweep.main([*OPTIONS, "--dry-run"]) == 0
+    assert train(tmp_path / "out", "--dry-run", "--leave-at", "0.5") == 0
+    assert not list(tmp_path.iterdir())
+    out = capsys.readouterr().out
+    names = {row["run"] for row in rows(whole)}
+    assert all(out.count(f"   {name}\n") == 2 for name in names)
+    assert out.count("2 runs in 1 program; nothing is written") == 2
+    each = f"4 epochs of {rows(whole)[0]['env_steps']} environment steps each"
+    assert f"\n1. {POINT_MASS}, cgm, ddpg: 2 runs side by side, {each}\n" in out
+    assert len(re.findall(r" of memory( on 2 devices)?\n", out)) == 2
+    assert re.search(r"\ntime: about \d+ s, \d+ s of it to compile, as measured just now; ", out)
+    assert "\ntime: at most about " in out  # runs may leave
+
+
+def test_a_dry_run_of_a_begun_sweep_takes_its_recorded_pace(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    for line in lines:  # 120 s to compile, 1,000 s for an epoch
+        line["wall_s"] = 120 + 1000 * line["epoch"]
+    (out / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    before = files(out)
+    assert sweep.main(["--resume", str(out), "--epochs", "7", "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    assert "\ntime: about 52 min, 2 min of it to compile, as recorded there; " in text
+    assert sweep.main(["--resume", str(out), "--dry-run"]) == 0
+    assert capsys.readouterr().out.endswith("time: none, all is done\n")
+    with pytest.raises(SettingError, match=r"^epochs: 3 are fewer"):
+        sweep.main(["--resume", str(out), "--epochs", "3", "--dry-run"])
+    assert files(out) == before

@@ -1,0 +1,184 @@
+"""Files that were damaged, lost or could not be written: what is left goes on."""
+
+import contextlib
+import errno
+import os
+import re
+import resource
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgm_jax import sweep
+from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.host.in_process import ALWAYS, EPOCHS, RUNS, at_epoch, stop_at_epoch, train
+from tests.cgm_jax.sweeps import assert_same_results, rows
+
+pytestmark = pytest.mark.usefixtures("in_process")
+
+
+DAMAGE_TO_METRICS: dict[str, Callable[[Path], Any]] = {
+    "deleted": lambda path: path.unlink(),
+    "empty": lambda path: path.write_text(""),
+    "a torn last line": lambda path: path.write_bytes(path.read_bytes()[:-50]),
+    "a line twice": lambda path: path.write_text(path.read_text() + path.read_text()),
+    "nonsense": lambda path: path.write_bytes(b"\xff\x00{"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE_TO_METRICS)
+def test_damaged_metrics_are_restored(
+    damage: str, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out)
+    DAMAGE_TO_METRICS[damage](out / "metrics.jsonl")
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_a_damaged_checkpoint_is_named_and_the_sweep_goes_on_from_the_one_before(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out, *ALWAYS)
+    last = max((out / "checkpoints").glob("*.npz"))
+    last.write_bytes(last.read_bytes()[:-1])
+    assert train(out) == 0
+    assert f"{last} is damaged" in capsys.readouterr().err
+    assert_same_results(whole, out)
+
+
+def test_without_any_checkpoint_the_group_begins_anew_and_says_so_and_keeps_old_metrics(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    metrics, kept = out / "metrics.jsonl", []
+    for number in (1, 2):
+        stop_at_epoch(monkeypatch, 2, out)
+        shutil.rmtree(out / "checkpoints")
+        kept.append(metrics.read_bytes())
+        assert len(kept[-1].splitlines()) == 2 * RUNS
+        stop_at_epoch(monkeypatch, 1, out)
+        aside = f"no checkpoint of group 0: it begins anew, and .* kept as {metrics}.{number}\n"
+        assert re.search(aside, capsys.readouterr().err)
+        shutil.rmtree(out / "checkpoints")
+        metrics.write_bytes(b"")
+    assert train(out) == 0
+    assert "no checkpoint of group 0: it begins anew\n" in capsys.readouterr().err
+    assert [Path(f"{metrics}.{number}").read_bytes() for number in (1, 2)] == kept
+    assert_same_results(whole, out)
+
+
+@pytest.mark.parametrize("damage", ["cut", "deleted"])
+def test_a_damaged_config_comes_back_from_a_checkpoint(
+    damage: str,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out, *ALWAYS)
+    config = out / "config.json"
+    content = config.read_bytes()
+    last = max((out / "checkpoints").glob("*.npz"))
+    last.write_bytes(last.read_bytes()[:-1])  # so that the one before must serve
+    if damage == "cut":
+        config.write_bytes(content[:100])
+    else:
+        config.unlink()
+    assert sweep.main(["--resume", str(out)]) == 0
+    text = capsys.readouterr().err
+    assert f"{config} was {'damaged' if damage == 'cut' else 'missing'}" in text
+    assert "restored from " in text
+    assert config.read_bytes() == content
+    assert_same_results(whole, out)
+
+
+@contextlib.contextmanager
+def file_sizes_limited_within() -> Iterator[Callable[[int], None]]:
+    """Hands out a function that limits the size of files, a full disk as it were, for the block."""
+    _, hard = before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_costs_checkpoints_but_not_the_training(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, file_sizes_limited_within() as limit:
+        at_epoch(patch, 2, lambda: limit(50_000))
+        assert train(out, *ALWAYS) == 74  # its last checkpoint must be written
+    text = capsys.readouterr().err
+    assert "no checkpoint written (File too large); the one before stays, and training" in text
+    assert f"error: cannot write to {out}: File too large\nto resume: " in text
+    assert len(rows(out)) == EPOCHS * RUNS
+    assert not list(out.rglob("*.partial"))
+    assert list((out / "checkpoints").glob("*epoch000001*.json"))
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_without_room_for_its_config_nothing_is_begun_and_the_same_command_begins(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "replace_config", full)
+        assert train(out) == 74
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-2:] == [
+        f"error: cannot write to {out}: No space left on device",
+        "nothing was begun",
+    ]
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_metrics_that_cannot_be_written_end_the_sweep_which_can_go_on(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, file_sizes_limited_within() as limit:
+        # The next row will be torn.
+        at_epoch(patch, 3, lambda: limit((out / "metrics.jsonl").stat().st_size + 100))
+        assert train(out, *ALWAYS) == 74
+    assert f"error: cannot write to {out}: File too large" in capsys.readouterr().err
+    assert not (out / "metrics.jsonl").read_text().endswith("\n")
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs to give up and take back rights")
+def test_a_directory_that_becomes_read_only_costs_checkpoints_but_not_the_training(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, nobody = tmp_path / "out", 65534
+    out.mkdir()
+    for path in (out, *out.parents):
+        if path.is_relative_to(tmp_path.parents[2]):
+            path.chmod(0o755)
+    os.chown(out, nobody, nobody)
+    with monkeypatch.context() as patch:
+        at_epoch(patch, 2, lambda: (out / "checkpoints").chmod(0o555))
+        os.seteuid(nobody)
+        try:
+            assert train(out, *ALWAYS) == 74
+        finally:
+            os.seteuid(0)
+    assert "no checkpoint written (Permission denied); the one before" in capsys.readouterr().err
+    assert len(rows(out)) == EPOCHS * RUNS
+    (out / "checkpoints").chmod(0o755)
+    assert train(out) == 0
+    assert_same_results(whole, out)

@@ -1,0 +1,97 @@
+import threading
+import time
+from typing import Any
+
+import jax
+import pytest
+
+from cgm_jax.config.fields import stack
+from cgm_jax.loop.compiler import Compiler
+from cgm_jax.loop.training import Programs, make_programs, make_trainer
+from cgm_jax.measuring.compilations import programs_compiled
+from tests.cgm_jax.probe import TINY, tiny
+from tests.cgm_jax.protocols import assert_same
+from tests.examples.point_mass import PointMass
+
+PROGRAMS = make_programs(make_trainer(PointMass(), TINY), jax.devices()[:2])
+THREE, FOUR = (stack([tiny(seed=seed) for seed in range(count)]) for count in (3, 4))
+
+
+def trained(programs: Programs) -> Any:
+    """Two epochs of three runs on two devices, a row left over."""
+    state = programs.start(THREE)
+    for cycles in (1, 2):
+        state = programs.train(state, THREE, cycles)
+        state, metrics = programs.evaluate(state, THREE)
+    return state, metrics
+
+
+def test_training_has_the_bits_of_programs_that_compile_when_called_and_compiles_once() -> None:
+    expected = trained(PROGRAMS)
+    with Compiler() as compiler:
+        programs = compiler.programs(PROGRAMS, THREE)
+        first, before = trained(programs), programs_compiled()
+        assert_same(first, expected)
+        assert_same(trained(compiler.programs(PROGRAMS, THREE)), expected)
+        assert programs_compiled() == before
+
+
+def test_states_from_a_checkpoint_need_no_program_that_makes_states() -> None:
+    with Compiler() as compiler:
+        programs = compiler.programs(PROGRAMS, THREE, starts=False)
+        assert programs.start is PROGRAMS.start
+        assert programs.train is compiler.programs(PROGRAMS, THREE).train
+
+
+def test_another_number_of_runs_has_programs_of_its_own() -> None:
+    with Compiler() as compiler:
+        three, four = (compiler.programs(PROGRAMS, hyper) for hyper in (THREE, FOUR))
+        assert three.train is not four.train
+        assert four.start(FOUR).env_steps.shape == (4,)
+
+
+class Slow:
+    """Stands for what `jax.jit` returns: lowers at once, and compiles when it is let go."""
+
+    def __init__(self, log: list[str], name: str, let_go: threading.Event) -> None:
+        self._log, self._name, self._let_go = log, name, let_go
+
+    def lower(self, *_: object) -> "Slow":
+        self._log.append(f"{self._name} traced")
+        return self
+
+    def compile(self) -> Any:
+        assert threading.current_thread() is not threading.main_thread()
+        assert self._let_go.wait(timeout=60)
+        self._log.append(f"{self._name} compiled")
+        if self._name == "train":
+            raise RuntimeError("it does not compile")
+        return lambda *_: f"{self._name} has run"
+
+
+def slow_programs(log: list[str], let_go: threading.Event) -> Programs:
+    return PROGRAMS._replace(
+        **{name: Slow(log, name, let_go) for name in ("start", "train", "evaluate")}  # pyright: ignore
+    )
+
+
+def test_all_are_traced_before_any_is_compiled_and_each_is_waited_for_by_itself() -> None:
+    log, let_go = [], threading.Event()
+    with Compiler() as compiler:
+        programs = compiler.programs(slow_programs(log, let_go), THREE)
+        assert log == ["start traced", "train traced", "evaluate traced"]
+        let_go.set()
+        assert programs.start(THREE) == "start has run"
+        with pytest.raises(RuntimeError, match="it does not compile"):
+            programs.train(None, THREE, 1)  # pyright: ignore[reportArgumentType]
+        assert programs.evaluate(None, THREE) == "evaluate has run"  # pyright: ignore
+    assert log[3:] == ["start compiled", "train compiled", "evaluate compiled"]
+
+
+def test_leaving_drops_what_has_not_begun_to_compile_and_waits_for_what_has() -> None:
+    log, let_go = [], threading.Event()
+    with Compiler() as compiler:
+        compiler.programs(slow_programs(log, let_go), THREE)
+        time.sleep(0.2)  # in which the first one begins
+        threading.Timer(0.2, let_go.set).start()
+    assert log[3:] == ["start compiled"]
