@@ -13,6 +13,7 @@ from cgm_jax.host.command_line import owns_process, parse, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import conclude, new_directory
+from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import ANY_CLUSTER, LAUNCH, Launch, absolute_path
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
@@ -28,6 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(LaunchOptions, words[:place], PROGRAM)
     launch, groups = planned(options, words[place + 1 :])
     engine = _engine(launch)
+    if options.resume is None and not (launch.path != Path() and (launch.path / LAUNCH).exists()):
+        check_sweep(launch.sweep, here=launch.on == "local")
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.
     with Interruption(
         patience=PATIENCE_SECONDS + 5,

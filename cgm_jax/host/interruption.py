@@ -32,7 +32,7 @@ PATIENCE_SECONDS = 8.0
 """From a signal to the end of the process, at most."""
 
 STOPPING = "stopping after the running chunk; a second Ctrl-C: at once"
-STOPPED_AT_ONCE = "stopped at once; the last complete checkpoint stays"
+STOPPED_AT_ONCE = "stopped at once"
 
 _ALWAYS = ("SIGINT", "SIGTERM")
 _UNLESS_IGNORED = ("SIGHUP", "SIGUSR1", "SIGUSR2")
@@ -46,6 +46,7 @@ class Interruption:
         requested: whether to stop at the next opportunity.
         expendable: whether what the process is doing is not worth waiting for; then a signal
             ends it at once.
+        last_words: printed if the process is ended; nothing where all has been said.
     """
 
     def __init__(
@@ -62,14 +63,14 @@ class Interruption:
             patience: seconds from the first signal to the end of the process.
             ends_process: whether this process is ours to end.
             first_words: printed if it is to stop soon.
-            last_words: printed if it is ended at once.
+            last_words: printed if it is ended, until the attribute is set to others.
         """
         self.requested = False
         self.expendable = True
         self._patience = patience
         self._ends_process = ends_process
         self._first_words = first_words
-        self._last_words = last_words
+        self.last_words: str | None = last_words
         self._interrupts = 0
         self._before: dict[int, Callable[..., object] | int | None] = {}
         self._thread: threading.Thread | None = None
@@ -133,8 +134,9 @@ class Interruption:
 
     def _end(self) -> NoReturn:
         """End the process now, whatever its other threads are doing."""
-        on_terminal = os.isatty(2)  # whose cursor may stand at the end of a progress bar
-        write_directly(("\n" if on_terminal else "") + self._last_words + "\n")
+        if self.last_words is not None:
+            on_terminal = os.isatty(2)  # whose cursor may stand at the end of a progress bar
+            write_directly(("\n" if on_terminal else "") + self.last_words + "\n")
         os._exit(ExitCode.STOPPED)
 
 

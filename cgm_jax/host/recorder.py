@@ -21,7 +21,11 @@ from cgm_jax.storage.run_directory import RunDirectory
 
 
 class Recorder:
-    """Writes the metrics, policies and checkpoints of one group of runs."""
+    """Writes the metrics, policies and checkpoints of one group of runs.
+
+    Attributes:
+        save_seconds: what the last checkpoint took to write; before the first a guess.
+    """
 
     def __init__(
         self,
@@ -50,6 +54,7 @@ class Recorder:
         self._facts = [_facts(run, swept) for run in group.runs]
         self._interval = checkpoint_seconds
         self._saved = time.monotonic()
+        self.save_seconds = 2.0
         self._config = directory.config_bytes()  # as it was when training began
         self._best = {run.name: 0.0 for run in group.runs}
         for row in rows:
@@ -76,19 +81,10 @@ class Recorder:
                 print(f"{note}; it learns no more, the others continue", file=sys.stderr)
         return rows
 
-    def save_if_due(self, training: TrainingProgress, *, always: bool = False) -> bool:
-        """Write a checkpoint if the last one is old; if that fails, say so and continue.
-
-        Args:
-            training: what to write.
-            always: whether it is due however new the last one is.
-
-        Returns:
-            Whether it has been written.
-        """
-        if always or time.monotonic() - self._saved >= self._interval:
-            return self.try_to_save(training)
-        return False
+    def save_if_due(self, training: TrainingProgress) -> None:
+        """Write a checkpoint if the last one is old; if that fails, say so and continue."""
+        if time.monotonic() - self._saved >= self._interval:
+            self.try_to_save(training)
 
     def try_to_save(self, training: TrainingProgress) -> bool:
         """Write policies and a checkpoint; if that fails, say so, continue, and return false."""
@@ -110,6 +106,7 @@ class Recorder:
         Raises:
             OSError: they cannot be written.
         """
+        began = time.monotonic()
         for run, policy in zip(
             self._group.runs, _policies(self._group, training.state), strict=True
         ):
@@ -117,6 +114,7 @@ class Recorder:
         checkpoints = self._directory.path / "checkpoints"
         save_checkpoint(checkpoints, self._index, training, self._config)
         self._saved = time.monotonic()
+        self.save_seconds = self._saved - began
 
     def _improves(self, row: Row) -> bool:
         """Whether a row shows more success than all rows of its run before."""

@@ -21,7 +21,7 @@ from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
-from cgm_jax.loop.compiler import Compiler
+from cgm_jax.loop.compiler import Compiler, wait_for
 from cgm_jax.loop.devices import Device, share
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
@@ -274,34 +274,44 @@ def _train(
     settings, programs = job.group.settings, job.programs
     hyper = job.group.hyper()
     began, pace = time.monotonic() - training.wall_s, Pace()
-    progress.compiling()
-    evaluates_first = True
     with watchdog() as something_happened:
         while not _is_finished(job.group, training):
             if training.cycle < settings.cycles_per_epoch:
                 _train_chunk(job, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
             else:
-                if evaluates_first:
-                    progress.compiling()
-                    evaluates_first = False
-                metrics = _close_epoch(programs, training, hyper)
+                metrics = _close_epoch(programs, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
                 progress.epoch(training.epoch, recorder.record_epoch(training, metrics))
-            interruption.expendable = False  # as the first chunk was, which compiles
+            interruption.expendable = False
             something_happened()
             if _is_finished(job.group, training):
                 recorder.save(training)
-            elif interruption.requested:
-                recorder.try_to_save(training)
+                continue
+            waits = not _may_outlast_patience(job, training, recorder, pace)
+            if waits and not interruption.requested:
+                recorder.save_if_due(training)
+                continue
+            saved = recorder.try_to_save(training)
+            if interruption.requested:
                 return False
-            else:
-                # A signal cannot wait for a cycle so long, which begins with nothing to lose then.
-                long = pace.outlasts(PATIENCE_SECONDS)
-                saved = recorder.save_if_due(training, always=long)
-                interruption.expendable = long and saved
+            interruption.expendable = saved  # a signal does not wait for what comes
     interruption.expendable = True
     return not interruption.requested
+
+
+def _may_outlast_patience(
+    job: Job, training: TrainingProgress, recorder: Recorder, pace: Pace
+) -> bool:
+    """Whether what comes next may take longer than a signal can wait, with a checkpoint after it.
+
+    Of an evaluation that is the first of this process nothing is known. It is taken for as long as
+    the cycles before it, which would be lost.
+    """
+    seconds = pace.cycle or 0.0
+    if training.cycle == job.group.settings.cycles_per_epoch:
+        seconds = training.cycle * seconds if pace.evaluation is None else pace.evaluation
+    return seconds > PATIENCE_SECONDS - recorder.save_seconds
 
 
 def _is_finished(group: Group, training: TrainingProgress) -> bool:
@@ -320,8 +330,11 @@ def _train_chunk(
 ) -> None:
     settings, env = job.group.settings, job.programs.trainer.setup.env
     cycles = pace.next_chunk(settings.cycles_per_epoch - training.cycle)
-    began = time.monotonic()
     with device_errors():
+        if pace.cycle is None:
+            progress.compiling()
+            wait_for(job.programs.train)
+        began = time.monotonic()
         training.state = jax.block_until_ready(job.programs.train(training.state, hyper, cycles))
     seconds = time.monotonic() - began
     pace.record(cycles, seconds)
@@ -330,8 +343,19 @@ def _train_chunk(
     progress.advance(cycles, cycles * steps_per_cycle * len(job.group.runs), seconds)
 
 
-def _close_epoch(programs: Programs, training: TrainingProgress, hyper: Hyperparameters) -> Metrics:
+def _close_epoch(
+    programs: Programs,
+    training: TrainingProgress,
+    hyper: Hyperparameters,
+    pace: Pace,
+    progress: SweepProgress,
+) -> Metrics:
     with device_errors():
+        if pace.evaluation is None:
+            progress.compiling()
+            wait_for(programs.evaluate)
+        began = time.monotonic()
         training.state, metrics = jax.block_until_ready(programs.evaluate(training.state, hyper))
+    pace.evaluation = time.monotonic() - began
     training.epoch, training.cycle = training.epoch + 1, 0
     return metrics

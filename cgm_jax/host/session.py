@@ -26,7 +26,7 @@ from cgm_jax.host.devices import (
 from cgm_jax.host.differences import check_same, check_unchanged
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.extension import extended
-from cgm_jax.host.interruption import Interruption
+from cgm_jax.host.interruption import STOPPED_AT_ONCE, Interruption
 from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.machine.commands import shell_command
@@ -68,16 +68,11 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
             moved = RunDirectory.open(out).moved(named)
         recorded = None if out is None else _recorded_groups(out, asked, moved)
         to_train, devices = recorded or asked.groups or [], parse_devices(options.devices)
-        prepare_jax(cpu_devices(devices, to_train))
-        import jax
-
-        from cgm_jax.host.dry_run import show_plan
-        from cgm_jax.host.runner import plan_jobs
-
-        check_devices(devices)
-        jobs, notes = plan_jobs(to_train, jax.devices()[:devices], planned=recorded is not None)
+        jobs, notes = plan(to_train, devices, planned=recorded is not None)
         start = None if recorded else _start(asked, jobs)
         if options.dry_run:
+            from cgm_jax.host.dry_run import show_plan
+
             shown.close()
             return show_plan(jobs, notes, RunDirectory(out) if recorded and out else None)
         out = out or new_directory(asked.preset)
@@ -95,6 +90,8 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                 else:
                     notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
+                how = _how_to_resume(out, options.track)
+                interruption.last_words = f"{STOPPED_AT_ONCE}; {how}"
                 return _train(jobs, directory, interruption, options, shown, progress, tracking)
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
@@ -102,6 +99,35 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
             what_now = _how_to_resume(out, options.track) if begun else "nothing was begun"
             print(what_now, file=sys.stderr)
             return ExitCode.CANNOT_WRITE
+
+
+def plan(
+    groups: Sequence[Group],
+    devices: int | None,
+    *,
+    planned: bool = False,
+    on_this_machine: bool = True,
+) -> "tuple[list[Job], list[str]]":
+    """Start JAX, and build what groups need; see `runner.plan_jobs`.
+
+    Args:
+        groups: of runs.
+        devices: how many share the runs; None for all.
+        planned: whether memory was planned before.
+        on_this_machine: whether devices and memory are to be those of this machine.
+
+    Raises:
+        SettingError: something cannot be as it is asked for.
+    """
+    prepare_jax(cpu_devices(devices, groups))
+    import jax
+
+    from cgm_jax.host.runner import plan_jobs
+
+    if on_this_machine:
+        check_devices(devices)
+    planned = planned or not on_this_machine
+    return plan_jobs(groups, jax.devices()[:devices], planned=planned)
 
 
 def _start(asked: Asked, jobs: "Sequence[Job]") -> dict[str, np.ndarray] | None:
@@ -242,6 +268,7 @@ def _train(
         print(_how_to_resume(directory.path, tracking.name), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:
+        interruption.last_words = None  # these are
         print(f"stopped; {_how_to_resume(directory.path, tracking.name)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))

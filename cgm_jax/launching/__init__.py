@@ -10,7 +10,7 @@ every machine reads and writes it.
     DIR/logs/1.log       what it printed
     DIR/config.json ...  the merged sweep, once all parts are done
 
-plan.py         what is to be launched, from options
+plan.py         what is to be launched, from options; check.py whether its parts can be trained
 directory.py    these paths, and the command of a part
 attempts.py     one attempt at a part: a child process, its cores, its end, and whether to try again
 record.py       what is written of attempts

@@ -4,7 +4,8 @@ XLA compiles outside of Python, in C++. So a thread compiles one program while t
 next, and evaluation's is ready when the first epoch is over.
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Any
 
@@ -17,6 +18,27 @@ Program = Any
 """What `jax.jit` returns, which type checkers take for a mere function."""
 
 
+class Compiling:
+    """A program that a thread compiles; a call waits until it is, and raises what that raised."""
+
+    def __init__(self, compiled: Future[Any]) -> None:
+        self._compiled = compiled
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it."""
+        return self._compiled.result()(*arguments)
+
+    def wait(self) -> None:
+        """Wait without running it."""
+        self._compiled.result()
+
+
+def wait_for(program: Callable[..., Any]) -> None:
+    """Wait until a program is compiled, if a `Compiler` does that."""
+    if isinstance(program, Compiling):
+        program.wait()
+
+
 class Compiler:
     """Compiles in a thread of its own, one program at a time, in the order in which it is asked.
 
@@ -26,7 +48,7 @@ class Compiler:
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="compiler")
-        self._asked: dict[tuple[Program, int], Program] = {}
+        self._asked: dict[tuple[Program, int], Compiling] = {}
 
     def __enter__(self) -> "Compiler":
         return self
@@ -50,8 +72,7 @@ class Compiler:
             starts: whether states are to be made; those of a checkpoint are there.
 
         Returns:
-            The same programs for so many runs. Each waits, when it is called, until it is
-            compiled, and raises what that has raised.
+            The same programs for so many runs, each of them `Compiling`.
         """
         states = programs.shapes(hyper)
         return programs._replace(
@@ -60,9 +81,9 @@ class Compiler:
             evaluate=self._compiled(programs.evaluate, states, hyper),
         )
 
-    def _compiled(self, program: Program, *arguments: Any) -> Program:
+    def _compiled(self, program: Program, *arguments: Any) -> Compiling:
         key = program, len(jax.tree.leaves(arguments)[0])
         if key not in self._asked:
-            compiling = self._worker.submit(program.lower(*arguments).compile)
-            self._asked[key] = lambda *arguments: compiling.result()(*arguments)
+            lowered = program.lower(*arguments)
+            self._asked[key] = Compiling(self._worker.submit(lowered.compile))
         return self._asked[key]

@@ -14,6 +14,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -29,6 +30,7 @@ from cgm_jax.config.grid import Group, run_of
 from cgm_jax.config.settings import Settings
 from cgm_jax.host import runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
+from cgm_jax.host.pace import Pace
 from cgm_jax.results import figures
 from cgm_jax.results.figures import draw_figures
 from cgm_jax.storage.checkpoints import finished_checkpoints
@@ -46,30 +48,65 @@ from tests.examples.point_mass import PointMass
 pytestmark = pytest.mark.usefixtures("in_process")
 
 
-def test_a_cycle_for_which_a_signal_cannot_wait_begins_with_nothing_to_lose(
+@pytest.mark.parametrize(
+    ("cycle", "cycle_seconds", "evaluation_seconds", "outlasts"),
+    [
+        (1, 5.0, None, False),
+        (1, 6.1, None, True),  # it takes 2 s to save, and patience is 8 s
+        (2, 2.0, None, False),  # an evaluation, of which nothing is known but what it could lose
+        (2, 3.1, None, True),
+        (2, 3.1, 5.0, False),
+        (2, 2.0, 6.1, True),
+    ],
+)
+def test_what_outlasts_a_signals_patience(
+    cycle: int, cycle_seconds: float, evaluation_seconds: float | None, outlasts: bool
+) -> None:
+    settings = Settings(cycles_per_epoch=2)
+    job = runner.Job(Group(settings, ()), programs=None)  # pyright: ignore[reportArgumentType]
+    training = TrainingProgress(state=None, cycle=cycle)  # pyright: ignore[reportArgumentType]
+    recorder, pace = SimpleNamespace(save_seconds=2.0), Pace()
+    pace.cycle, pace.evaluation = cycle_seconds, evaluation_seconds
+    measured: Any = (recorder, pace)
+    assert runner._may_outlast_patience(job, training, *measured) is outlasts
+
+
+def test_what_a_signal_cannot_wait_for_begins_with_nothing_to_lose(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     listening, begun = [], []
-    listen, train_chunk = session.Interruption, runner._train_chunk
+    listen, train_chunk, close_epoch = (
+        session.Interruption,
+        runner._train_chunk,
+        runner._close_epoch,
+    )
 
     def remembered(**options: Any) -> Any:
         listening.append(listen(**options))
         return listening[-1]
 
-    def chunk(job: runner.Job, training: TrainingProgress, *rest: Any) -> None:
+    def note(training: TrainingProgress) -> None:
         saved = finished_checkpoints(tmp_path / "out" / "checkpoints", 0)[-1:]
         stem = f"group0_epoch{training.epoch:06d}_cycle{training.cycle:06d}"
         begun.append((listening[0].expendable, [path.stem for path in saved] == [stem]))
+
+    def chunk(job: runner.Job, training: TrainingProgress, *rest: Any) -> None:
+        note(training)
         train_chunk(job, training, *rest)
+
+    def close(programs: Any, training: TrainingProgress, *rest: Any) -> Any:
+        note(training)
+        return close_epoch(programs, training, *rest)
 
     monkeypatch.setattr(session, "Interruption", remembered)
     monkeypatch.setattr(runner, "_train_chunk", chunk)
-    monkeypatch.setattr(runner, "PATIENCE_SECONDS", 0.0)  # as if every cycle took longer
+    monkeypatch.setattr(runner, "_close_epoch", close)
+    monkeypatch.setattr(runner, "PATIENCE_SECONDS", 0.0)  # as if all of them took longer
     assert train(tmp_path / "out") == 0
-    # The first compiles, and only the second tells how long a cycle takes.
-    assert begun[:2] == [(True, False), (False, False)]
-    assert begun[2:] == [(True, True)] * (len(begun) - 2)
-    assert len(begun) > EPOCHS
+    # Before the first cycle there is nothing to lose but the beginning.
+    assert begun[0] == (True, False)
+    assert begun[1:] == [(True, True)] * (len(begun) - 1)
+    assert len(begun) > 2 * EPOCHS
     assert_same_results(whole, tmp_path / "out")
 
 

@@ -16,6 +16,7 @@ from cgm_jax import launch as program
 from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.launching import local, ray, slurm
+from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.progress import JointProgress, Rows
@@ -79,6 +80,30 @@ def test_bad_input_is_refused_before_anything_is_made(
     assert not list(folder.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--devices", "300"], "devices: 300, but the most on this cpu are 256$"),
+        (["--environments", "1000000"], "environments: one run takes .* of memory, and "),
+        (["--env", "nosuch"], "env: unknown environment 'nosuch'; choose from "),
+        (["--track", "nosuch"], "track: unknown track 'nosuch'; choose from "),
+    ],
+)
+def test_what_parts_would_refuse_is_refused_before_anything_is_made(
+    folder: Path, words: list[str], line: str
+) -> None:
+    with pytest.raises(SettingError, match=f"^{line}"):
+        program.main(["--jobs", "2", "--out", "out", *SMOKE, *words])
+    assert not list(folder.iterdir())
+
+
+def test_what_depends_on_the_machine_is_not_checked_where_others_train() -> None:
+    words = [*SMOKE[1:], "--devices", "300", "--environments", "1000000"]
+    check_sweep(words, here=False)
+    with pytest.raises(SettingError, match=r"^env: unknown environment 'nosuch'"):
+        check_sweep([*words, "--env", "nosuch"], here=False)
+
+
 def test_unknown_options_end_with_one_line(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,6 +125,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Launch]:
         return 0
 
     monkeypatch.setattr(program, "_run", run)
+    monkeypatch.setattr(program, "check_sweep", lambda *_, **__: None)
     return found
 
 
