@@ -197,6 +197,8 @@ def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:
     rows = [row for piece in pieces for row in piece.rows]
     directory.replace_metrics(rows)
     directory.replace_config(config)
+    if any(RunDirectory(part.path).has_csv() for part in parts):
+        directory.write_csv()
     return rows
 
 

@@ -38,7 +38,8 @@ CASES: dict[str, tuple[str, ...]] = {
     "start": ("all",),
     "runs": ("1", "8", "32", "90"),
     "memory": ("push", "pick_and_place"),
-    "parity": ("push", "pick_and_place"),
+    "parity_mjx": ("push", "pick_and_place"),
+    "parity_warp": ("push", "pick_and_place"),
     "learning": ("push", "pick_and_place"),
 }
 REHEARSED: dict[str, tuple[str, ...]] = {
@@ -49,7 +50,8 @@ REHEARSED: dict[str, tuple[str, ...]] = {
     "start": ("all",),
     "runs": ("1", "2"),
     "memory": ("push",),
-    "parity": ("push",),
+    "parity_mjx": ("push",),
+    "parity_warp": ("push",),
     "learning": ("push",),
 }
 COLUMNS: tuple[str, ...] = ("device", "part", "case", "figure", "value", "unit")
@@ -101,10 +103,13 @@ def _outstanding(out: Path, device: str, *, rehearse: bool) -> Iterator[tuple[st
     rows = read_table(out / "gpu.csv") if (out / "gpu.csv").exists() else []
     done = {(row["part"], row["case"]) for row in rows if row["device"] == device}
     for part, cases in (REHEARSED if rehearse else CASES).items():
-        if part == "rate_warp" and not has_warp():
-            print("rate_warp: warp-lang is not installed, so it is left out", file=sys.stderr)
-            continue
-        yield from ((part, case) for case in cases if (part, case) not in done)
+        if part not in _left_out():
+            yield from ((part, case) for case in cases if (part, case) not in done)
+
+
+def _left_out() -> list[str]:
+    """Parts that this environment has no engine for."""
+    return [] if has_warp() else [part for part in CASES if part.endswith("_warp")]
 
 
 def _measure(
@@ -168,10 +173,11 @@ def _write_text(out: Path, missing: Sequence[str]) -> None:
     for device in dict.fromkeys(row["device"] for row in rows):
         lines.append(device)
         lines += [
-            "  {part:<10} {case:<15} {figure:<60} {value} {unit}".format(**row)
+            "  {part:<11} {case:<15} {figure:<60} {value} {unit}".format(**row)
             for row in rows
             if row["device"] == device
         ]
+    lines += [f"left out: {part}, since warp-lang is not installed" for part in _left_out()]
     lines += [f"missing: {line}" for line in missing]
     (out / "gpu.txt").write_text("".join(f"{line.rstrip()}\n" for line in lines))
 

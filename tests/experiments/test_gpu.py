@@ -1,7 +1,8 @@
-"""What `make gpu` does around its cases; the cases themselves are `make gpu REHEARSE=1`."""
+"""What `make gpu` does, its cases in small."""
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -9,9 +10,11 @@ from pathlib import Path
 import pytest
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.envs.physics.choose import has_warp
 from experiments.gpu import measure
 from experiments.gpu.cases import PARTS
 from experiments.table import read_table
+from tests.cgm_jax.sweeps import ROOT
 
 SLOW_PARENT = """
 import subprocess, sys, time
@@ -65,7 +68,9 @@ def test_cases_that_are_on_record_are_not_measured_again(
 
     monkeypatch.setattr(measure, "_device", lambda: "card x 1")
     monkeypatch.setattr(measure, "_measure", stand_in)
-    monkeypatch.setattr(measure, "CASES", {"updates": ("all",), "runs": ("1", "8")})
+    monkeypatch.setattr(measure, "has_warp", lambda: False)
+    cases = {"rate_warp": ("64",), "updates": ("all",), "runs": ("1", "8")}
+    monkeypatch.setattr(measure, "CASES", cases)
     options = ["--out", str(tmp_path)]
     assert measure.main(options) == 1
     assert asked == [("updates", "all"), ("runs", "1"), ("runs", "8")]
@@ -78,4 +83,26 @@ def test_cases_that_are_on_record_are_not_measured_again(
         ("card x 1", "runs", "8"),
         ("card x 1", "updates", "all"),
     ]
-    assert "missing" not in (tmp_path / "gpu.txt").read_text()
+    text = (tmp_path / "gpu.txt").read_text()
+    assert "missing" not in text
+    assert text.endswith("left out: rate_warp, since warp-lang is not installed\n")
+
+
+@pytest.mark.slow
+def test_all_of_it_is_rehearsed_on_a_cpu(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "experiments.gpu.measure", "--rehearse"]
+    subprocess.run([*command, "--out", str(tmp_path)], check=True, cwd=ROOT)
+    rows = read_table(tmp_path / "gpu.csv")
+    measured = {(row["part"], row["case"]) for row in rows}
+    left_out = [] if has_warp() else ["rate_warp", "parity_warp"]
+    assert measured == {
+        (part, case)
+        for part, cases in measure.REHEARSED.items()
+        for case in cases
+        if part not in left_out
+    }
+    figures = {(row["part"], row["figure"]): float(row["value"]) for row in rows}
+    # Two engines, which never agree to the last bit.
+    assert 0.0 < figures["parity_mjx", "grip strays in free motion at most"] < 1.0
+    assert figures["memory", "estimate / taken"] > 0.5
+    assert figures["learning", "environment steps trained"] > 0

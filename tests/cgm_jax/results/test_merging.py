@@ -1,5 +1,6 @@
 """Parts of a sweep, made up, put together; real ones are in launching/test_local.py."""
 
+import csv
 import hashlib
 import io
 import json
@@ -108,6 +109,16 @@ def test_merged_parts_are_one_sweep(parts: list[Path], tmp_path: Path) -> None:
     assert directory.restore_config() is not None
     assert [r.name for group in directory.groups() for r in group.runs] == names
     assert not list(tmp_path.glob("new/.*"))
+
+
+def test_where_a_part_has_a_table_the_whole_has_one(parts: list[Path], tmp_path: Path) -> None:
+    assert run(*parts, "--out", tmp_path / "without") == 0
+    assert not (tmp_path / "without/metrics.csv").exists()
+    RunDirectory(parts[1]).write_csv()
+    assert run(*parts, "--out", tmp_path / "with") == 0
+    with (tmp_path / "with/metrics.csv").open() as file:
+        table = [(row["run"], int(row["epoch"])) for row in csv.DictReader(file)]
+    assert table == [(row["run"], row["epoch"]) for row in rows(tmp_path / "with")]
 
 
 def test_each_part_keeps_what_it_was_trained_with(
