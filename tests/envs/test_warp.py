@@ -90,16 +90,30 @@ def test_room_is_for_every_pair_of_geoms_at_once() -> None:
 
 
 def test_rows_of_runs_and_environments_are_one_batch(player: Player) -> None:
-    states = player.play(attack, 8)
-    env, state = player.env, states[12]  # the block has been touched in some
-    action = jnp.asarray(attack(np.asarray(state.obs["observation"]), np.zeros((8, 3)), 12))
-    flat = jax.jit(jax.vmap(env.step))(state, action)
-    runs = jax.tree.map(lambda x: x.reshape(2, 4, *x.shape[1:]), (state, action))
-    nested = jax.jit(jax.vmap(jax.vmap(env.step)))(*runs)
-    np.testing.assert_allclose(
-        np.asarray(nested.obs["observation"]).reshape(8, -1), flat.obs["observation"], atol=1e-5
+    states, env = player.play(attack, 8), player.env
+    flat, nested = jax.jit(jax.vmap(env.step)), jax.jit(jax.vmap(jax.vmap(env.step)))
+    moved = 0.0
+    for step in range(2, 50, 4):
+        state, observed = states[step], np.asarray(states[step].obs["observation"])
+        action = jnp.asarray(attack(observed, np.zeros((8, 3)), step))
+        expected = flat(state, action)
+        runs = jax.tree.map(lambda x: x.reshape(2, 4, *x.shape[1:]), (state, action))
+        after = jax.tree.map(lambda x: x.reshape(8, *x.shape[2:]), nested(*runs))
+        np.testing.assert_allclose(after.obs["observation"], expected.obs["observation"], atol=1e-5)
+        assert warnings([after]) == 0
+        moved = max(moved, np.abs(np.asarray(expected.obs["observation"]) - observed).max())
+    assert moved > 1e-2
+
+
+def test_reach_is_learned(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["--preset", "cpu", "--env", "reach", "--engine", "warp", "--epochs", "1"]
+    subprocess.run(
+        [sys.executable, "-m", "cgm_jax.train", *words, "--out", str(out)], check=True, cwd=ROOT
     )
-    assert np.abs(np.asarray(flat.obs["observation"] - state.obs["observation"])).max() > 1e-3
+    (row,) = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert row["env_steps"] == 20_000
+    assert row["success_rate"] >= 0.9
 
 
 @pytest.mark.parametrize("room", [{"contacts": 1}, {"constraints": 20}])
