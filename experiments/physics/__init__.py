@@ -4,6 +4,7 @@ Programs, each `python -m experiments.physics.NAME`:
 
     fidelity.py                replays episodes recorded from Gymnasium-Robotics
     timestep.py                which timestep is close to the recording, and how fast it is
+    start.py                   what the start takes on each engine
     doing_nothing.py           how often goals are achieved by doing nothing
     transfer.py                plays trained policies in Gymnasium-Robotics and here
     gymnasium_policy.py        its half that runs where gymnasium-robotics is installed

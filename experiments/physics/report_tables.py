@@ -97,6 +97,17 @@ def transfer() -> Table:
     return Table([*header, "same outcome", "lost by single policies, points"], rows)
 
 
+def start() -> Table:
+    """Seconds from the command to the end of the first training cycle, by engine."""
+    phases = ("libraries", "tracing", "compiling", "first_cycle", "together")
+    rows = [
+        [row["engine"], *(f"{float(row[f'{phase}_s']):.1f}" for phase in phases)]
+        for row in read_table(RESULTS / "engines" / "start.csv")
+    ]
+    header = ["engine", "libraries and scene", "tracing", "then compiling", "first cycle"]
+    return Table([*header, "together"], rows)
+
+
 def doing_nothing(task: str) -> str:
     """Success of a policy that does nothing."""
     table = read_table(RESULTS / "doing_nothing" / "doing_nothing.csv")
@@ -110,5 +121,6 @@ TABLES: dict[str, Callable[..., Table]] = {
     "sensitivity": sensitivity,
     "timestep": timestep,
     "transfer": transfer,
+    "start": start,
 }
 VALUES: dict[str, Callable[..., str]] = {"doing_nothing": doing_nothing}

@@ -53,3 +53,13 @@ def test_transfer_is_shown_per_environment(tmp_path: Path, monkeypatch: pytest.M
     write_table(tmp_path / "transfer" / "transfer.csv", rows)
     (row,) = report_tables.transfer().rows
     assert list(row) == ["FetchPush-v4", "2 x 100", "98.0 %", "97.5 %", "98.0 %", "-3 to 2"]
+
+
+def test_the_start_is_shown_by_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_tables, "RESULTS", tmp_path)
+    (tmp_path / "engines").mkdir()
+    phases = {"libraries": 2, "tracing": 9.04, "compiling": 35, "first_cycle": 2, "together": 48}
+    row = {f"{phase}_s": seconds for phase, seconds in phases.items()}
+    write_table(tmp_path / "engines" / "start.csv", [{"engine": "mjx", **row}])
+    (shown,) = report_tables.start().rows
+    assert list(shown) == ["mjx", "2.0", "9.0", "35.0", "2.0", "48.0"]
