@@ -1,7 +1,7 @@
 """Programs that are compiled while something else is done.
 
 XLA compiles outside of Python, in C++. So a thread compiles one program while this one traces the
-next, and evaluation's is ready when the first epoch is over.
+next, and evaluation's is compiled while the first epoch trains.
 """
 
 from collections.abc import Callable
@@ -64,7 +64,10 @@ class Compiler:
     def programs(
         self, programs: Programs, hyper: Hyperparameters, *, starts: bool = True
     ) -> Programs:
-        """Have programs compiled for some runs; they are traced here and now.
+        """Have programs compiled for some runs.
+
+        What starts and trains is traced here and now; evaluation's program, which is needed last,
+        by the thread, once the others are compiled.
 
         Args:
             programs: to compile.
@@ -78,12 +81,19 @@ class Compiler:
         return programs._replace(
             start=self._compiled(programs.start, hyper) if starts else programs.start,
             train=self._compiled(programs.train, states, hyper, 1),
-            evaluate=self._compiled(programs.evaluate, states, hyper),
+            evaluate=self._compiled(programs.evaluate, states, hyper, later=True),
         )
 
-    def _compiled(self, program: Program, *arguments: Any) -> Compiling:
+    def _compiled(self, program: Program, *arguments: Any, later: bool = False) -> Compiling:
         key = program, len(jax.tree.leaves(arguments)[0])
         if key not in self._asked:
-            lowered = program.lower(*arguments)
-            self._asked[key] = Compiling(self._worker.submit(lowered.compile))
+            if later:
+                compiled = self._worker.submit(_trace_and_compile, program, *arguments)
+            else:
+                compiled = self._worker.submit(program.lower(*arguments).compile)
+            self._asked[key] = Compiling(compiled)
         return self._asked[key]
+
+
+def _trace_and_compile(program: Program, *arguments: Any) -> Program:
+    return program.lower(*arguments).compile()
