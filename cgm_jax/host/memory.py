@@ -135,7 +135,9 @@ def runs_that_fit(estimate: MemoryEstimate, runs: int, devices: int = 1) -> int:
     """
     free = free_bytes()
     if estimate.total(1) > free:
-        largest = max(estimate.parts, key=lambda name: estimate.parts[name])
+        # No setting helps where there is no room for the libraries and the compiler.
+        too_small = estimate.fixed > free
+        largest = "memory" if too_small else max(estimate.parts, key=estimate.parts.__getitem__)
         raise SettingError(
             f"{largest}: one run takes {format_bytes(estimate.total(1))} of memory, "
             f"and {format_bytes(free)} are free"

@@ -138,11 +138,12 @@ def test_runs_that_fit(monkeypatch: pytest.MonkeyPatch, free: int, fit: int) -> 
     assert runs_that_fit(ESTIMATE, 50) == fit
 
 
+@pytest.mark.parametrize(("free", "name"), [(109, "replay_transitions"), (99, "memory")])
 def test_a_run_that_cannot_fit_is_refused_by_what_makes_it_large(
-    monkeypatch: pytest.MonkeyPatch,
+    free: int, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory, "free_bytes", lambda: 109)
-    with pytest.raises(SettingError, match="replay_transitions: one run takes"):
+    monkeypatch.setattr(memory, "free_bytes", lambda: free)
+    with pytest.raises(SettingError, match=f"^{name}: one run takes"):
         runs_that_fit(ESTIMATE, 50)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cgm_jax.loop.devices import Share, share, spread, team_of
-from tests.cgm_jax.sweeps import ROOT
+from tests.cgm_jax.sweeps import ROOT, assert_same_results, command, finish
 
 
 @pytest.mark.parametrize(
@@ -49,3 +49,12 @@ def test_a_run_has_the_same_bits_among_any_number_of_runs_and_devices(tmp_path: 
     assert others[0][0] == alone
     for case, digests in zip(cases[1:], others, strict=True):
         assert digests == others[0], case
+
+
+@pytest.mark.slow
+def test_a_sweep_has_the_same_bits_on_any_number_of_devices(tmp_path: Path) -> None:
+    outs = [tmp_path / str(devices) for devices in (1, 2, 3, 4)]
+    for out in outs:
+        finish(command("--seeds", "3", "--devices", out.name, "--out", str(out)))
+    for out in outs[1:]:
+        assert_same_results(outs[0], out)
