@@ -28,9 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     place = words.index("--") if "--" in words else len(words)
     options = parse(LaunchOptions, words[:place], PROGRAM)
     launch, groups = planned(options, words[place + 1 :])
+    fresh = launch.path == Path() or not (launch.path / LAUNCH).exists()
     engine = _engine(launch)
-    if options.resume is None and not (launch.path != Path() and (launch.path / LAUNCH).exists()):
-        check_sweep(launch.sweep, here=launch.on == "local")
+    if fresh:
+        check_sweep(launch.sweep, engine.for_check())
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.
     with Interruption(
         patience=PATIENCE_SECONDS + 5,
@@ -39,7 +40,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ) as interruption:
         if launch.path == Path():
             launch = replace(launch, path=absolute_path(new_directory(launch.preset)))
-        fresh = not (launch.path / LAUNCH).exists()
         with _claimed(launch, fresh=fresh) as directory:
             interruption.expendable = False
             return _run(launch, engine, groups, directory, interruption)

@@ -4,7 +4,6 @@ The time is measured: each program is compiled and run for some cycles. Of a swe
 trained for a while it is the pace that its metrics.jsonl recorded.
 """
 
-import itertools
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -16,6 +15,7 @@ from cgm_jax.config.grid import structure
 from cgm_jax.host.device_errors import DeviceError, device_errors
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.runner import Job
+from cgm_jax.loop.compiler import Compiler, wait_for
 from cgm_jax.storage.checkpoints import position
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -113,25 +113,21 @@ def _measured(job: Job) -> Pace:
     Raises:
         DeviceError: the physics or the memory fails.
     """
-    hyper, programs = job.group.hyper(), job.programs
-    with device_errors():
-        times = [time.monotonic()]
-        state = jax.block_until_ready(programs.train(programs.start(hyper), hyper, 1))
-        times.append(time.monotonic())
-        cycles = 0
-        while not cycles or time.monotonic() - times[-1] < MEASURED_SECONDS:
+    hyper = job.group.hyper()
+    with device_errors(), Compiler() as compiler:
+        began = time.monotonic()
+        programs = compiler.programs(job.programs, hyper)
+        state = programs.start(hyper)
+        for program in (programs.train, programs.evaluate):
+            wait_for(program)
+        compiling = time.monotonic() - began
+        began, cycles = time.monotonic(), 0
+        while not cycles or time.monotonic() - began < MEASURED_SECONDS:
             state = jax.block_until_ready(programs.train(state, hyper, 1))
             cycles += 1
-        for _ in range(2):
-            times.append(time.monotonic())
-            state, _ = jax.block_until_ready(programs.evaluate(state, hyper))
-        times.append(time.monotonic())
-    first, all_cycles, first_evaluation, evaluation = (
-        after - before for before, after in itertools.pairwise(times)
-    )
-    cycle = all_cycles / cycles
-    compiling = first - cycle + first_evaluation - evaluation
-    return Pace(max(0.0, compiling), cycle, evaluation)
+        cycle, began = (time.monotonic() - began) / cycles, time.monotonic()
+        jax.block_until_ready(programs.evaluate(state, hyper))
+    return Pace(compiling, cycle, time.monotonic() - began)
 
 
 def _recorded_paces(jobs: Sequence[Job], directory: RunDirectory) -> dict[Key, Pace]:

@@ -46,7 +46,7 @@ class Interruption:
         requested: whether to stop at the next opportunity.
         expendable: whether what the process is doing is not worth waiting for; then a signal
             ends it at once.
-        last_words: printed if the process is ended; nothing where all has been said.
+        last_words: printed if the process is ended; None for nothing. May be set anew.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Interruption:
             patience: seconds from the first signal to the end of the process.
             ends_process: whether this process is ours to end.
             first_words: printed if it is to stop soon.
-            last_words: printed if it is ended, until the attribute is set to others.
+            last_words: printed if it is ended.
         """
         self.requested = False
         self.expendable = True

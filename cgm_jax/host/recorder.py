@@ -81,10 +81,13 @@ class Recorder:
                 print(f"{note}; it learns no more, the others continue", file=sys.stderr)
         return rows
 
-    def save_if_due(self, training: TrainingProgress) -> None:
-        """Write a checkpoint if the last one is old; if that fails, say so and continue."""
-        if time.monotonic() - self._saved >= self._interval:
-            self.try_to_save(training)
+    def save_if_due(self, training: TrainingProgress) -> bool:
+        """Write a checkpoint if the last one is old; whether it has been written.
+
+        If that fails, say so and continue.
+        """
+        due = time.monotonic() - self._saved >= self._interval
+        return due and self.try_to_save(training)
 
     def try_to_save(self, training: TrainingProgress) -> bool:
         """Write policies and a checkpoint; if that fails, say so, continue, and return false."""

@@ -12,16 +12,17 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
 from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.envs import GoalEnvironment
 from cgm_jax.host.checkpoint import TrainingProgress, check_last_checkpoint, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import PATIENCE_SECONDS, Interruption
 from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
-from cgm_jax.host.pace import Pace
+from cgm_jax.host.pace import CHUNK_SECONDS, Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
-from cgm_jax.loop.compiler import Compiler, wait_for
+from cgm_jax.loop.compiler import Compiler, is_compiling, wait_for
 from cgm_jax.loop.devices import Device, share
 from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
 from cgm_jax.loop.evaluation import Metrics
@@ -65,14 +66,14 @@ def plan_jobs(
             would overflow.
     """
     jobs, notes = [], []
-    made: dict[tuple[Settings, int], Programs] = {}
-    trainers: dict[Settings, Trainer] = {}
+    environments: dict[Settings, GoalEnvironment] = {}
     for _, same in itertools.groupby(groups, key=_program):
-        parts = list(same)
+        parts, made = list(same), dict[int, Programs]()
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
-        if settings not in trainers:
-            trainers[settings] = make_trainer(make_environment(settings), settings)
-        trainer = trainers[settings]
+        if settings not in environments:
+            environments[settings] = make_environment(settings)
+        # One of its own: JAX would take what it has traced of one curriculum for another's.
+        trainer = make_trainer(environments[settings], settings)
         _check_counters(trainer)
         check_components(trainer, runs[0])
         remarks = [*remarks_on(trainer.setup.env), *_remarks_on_discount(trainer, runs)]
@@ -84,9 +85,9 @@ def plan_jobs(
             parts = split(whole, min(fitting, settings.side_by_side))
         for part in parts:
             count = share(len(part.runs), len(devices)).devices
-            if (settings, count) not in made:
-                made[settings, count] = make_programs(trainer, devices[:count])
-            jobs.append(Job(part, made[settings, count]))
+            if count not in made:
+                made[count] = make_programs(trainer, devices[:count])
+            jobs.append(Job(part, made[count]))
         largest = max(len(part.runs) for part in parts)
         note = f"{settings.env}: {len(runs)} runs"
         if len(parts) > 1:
@@ -141,6 +142,7 @@ def run_jobs(
     interruption: Interruption,
     checkpoint_seconds: float,
     tracking: Tracking,
+    compiler: Compiler,
 ) -> list[Row] | None:
     """Train all jobs one after another, each from its last checkpoint.
 
@@ -151,6 +153,7 @@ def run_jobs(
         interruption: says when to stop.
         checkpoint_seconds: least time between two checkpoints of a job, other than its last.
         tracking: is sent what is recorded.
+        compiler: compiles the programs.
 
     Returns:
         The last row of every run; None if a signal came, and what was done is in a checkpoint.
@@ -163,22 +166,22 @@ def run_jobs(
     rows, last = [], []
     shard = directory.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
-    with Compiler() as compiler:
-        for index, job in enumerate(jobs):
-            job, training = _begin(job, index, directory, compiler)
-            _keep_lost_metrics(training, index, directory, rows)
-            directory.replace_metrics(rows + training.rows)
-            settings = job.group.settings
-            progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
-            recorder = Recorder(
-                directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
-            )
-            if not _train(job, training, recorder, progress, interruption):
-                return None
-            progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
-            tracking.end()
-            rows += training.rows
-            last += training.rows[-len(job.group.runs) :]
+    for index, job in enumerate(jobs):
+        progress.compiling()
+        job, training = _begin(job, index, directory, compiler)
+        _keep_lost_metrics(training, index, directory, rows)
+        directory.replace_metrics(rows + training.rows)
+        settings = job.group.settings
+        progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
+        recorder = Recorder(
+            directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
+        )
+        if not _train(job, training, recorder, progress, interruption):
+            return None
+        progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
+        tracking.end()
+        rows += training.rows
+        last += training.rows[-len(job.group.runs) :]
     return last
 
 
@@ -213,6 +216,7 @@ def _begin(
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
         print(f"{note}; {where}", file=sys.stderr)
+    began = time.monotonic()
     with device_errors():
         if training is None or not _is_finished(job.group, training):
             programs = compiler.programs(job.programs, hyper, starts=training is None)
@@ -227,6 +231,7 @@ def _begin(
         else:
             training.state = job.programs.spread(training.state)
         jax.block_until_ready(training.state)
+    training.wall_s += time.monotonic() - began
     return job, training
 
 
@@ -288,14 +293,12 @@ def _train(
             if _is_finished(job.group, training):
                 recorder.save(training)
                 continue
-            waits = not _may_outlast_patience(job, training, recorder, pace)
-            if waits and not interruption.requested:
-                recorder.save_if_due(training)
-                continue
-            saved = recorder.try_to_save(training)
-            if interruption.requested:
+            # A signal does not wait for what it could not wait for: that begins with a checkpoint.
+            must = interruption.requested or _may_outlast_patience(job, training, recorder, pace)
+            saved = recorder.try_to_save(training) if must else recorder.save_if_due(training)
+            if interruption.requested and (must or saved):
                 return False
-            interruption.expendable = saved  # a signal does not wait for what comes
+            interruption.expendable = must and saved
     interruption.expendable = True
     return not interruption.requested
 
@@ -306,12 +309,17 @@ def _may_outlast_patience(
     """Whether what comes next may take longer than a signal can wait, with a checkpoint after it.
 
     Of an evaluation that is the first of this process nothing is known. It is taken for as long as
-    the cycles before it, which would be lost.
+    the cycles before it, which would be lost; and for longer than patience while it compiles, if
+    more than a chunk would be lost.
     """
-    seconds = pace.cycle or 0.0
-    if training.cycle == job.group.settings.cycles_per_epoch:
-        seconds = training.cycle * seconds if pace.evaluation is None else pace.evaluation
-    return seconds > PATIENCE_SECONDS - recorder.save_seconds
+    # On the slowest disks a signal cannot wait for anything; to save more often would not help.
+    patience = PATIENCE_SECONDS - min(recorder.save_seconds, PATIENCE_SECONDS / 2)
+    if training.cycle < job.group.settings.cycles_per_epoch:
+        return (pace.cycle or 0.0) > patience
+    if pace.evaluation is not None:
+        return pace.evaluation > patience
+    at_risk = training.cycle * (pace.cycle or 0.0)
+    return at_risk > (CHUNK_SECONDS if is_compiling(job.programs.evaluate) else patience)
 
 
 def _is_finished(group: Group, training: TrainingProgress) -> bool:
@@ -332,8 +340,10 @@ def _train_chunk(
     cycles = pace.next_chunk(settings.cycles_per_epoch - training.cycle)
     with device_errors():
         if pace.cycle is None:
-            progress.compiling()
             wait_for(job.programs.train)
+            if job.programs.trainer.setup.platform != "cpu":
+                # A GPU is to have nothing else to do while XLA tries what is fastest.
+                wait_for(job.programs.evaluate)
         began = time.monotonic()
         training.state = jax.block_until_ready(job.programs.train(training.state, hyper, cycles))
     seconds = time.monotonic() - began
@@ -351,7 +361,7 @@ def _close_epoch(
     progress: SweepProgress,
 ) -> Metrics:
     with device_errors():
-        if pace.evaluation is None:
+        if is_compiling(programs.evaluate):
             progress.compiling()
             wait_for(programs.evaluate)
         began = time.monotonic()

@@ -38,6 +38,7 @@ from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:  # runner imports JAX
     from cgm_jax.host.runner import Job
+    from cgm_jax.loop.compiler import Compiler
 
 
 def train_groups(options: TrainingOptions, asked: Asked) -> int:
@@ -75,9 +76,12 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
 
             shown.close()
             return show_plan(jobs, notes, RunDirectory(out) if recorded and out else None)
+        from cgm_jax.loop.compiler import Compiler
+
         out = out or new_directory(asked.preset)
         try:
             with (
+                Compiler() as compiler,  # which is waited for when all else is done
                 RunDirectory.claimed(out, fresh=recorded is None) as directory,
                 Tracking(options.track, out) as tracking,
             ):
@@ -92,7 +96,9 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
                 how = _how_to_resume(out, options.track)
                 interruption.last_words = f"{STOPPED_AT_ONCE}; {how}"
-                return _train(jobs, directory, interruption, options, shown, progress, tracking)
+                return _train(
+                    jobs, directory, interruption, options, shown, progress, tracking, compiler
+                )
         except OSError as error:
             print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
             begun = RunDirectory(out).holds_sweep()
@@ -241,6 +247,7 @@ def _train(
     shown: ExitStack,
     progress: SweepProgress,
     tracking: Tracking,
+    compiler: "Compiler",
 ) -> int:
     """Train, and say and draw what came of it.
 
@@ -252,6 +259,7 @@ def _train(
         shown: what is on the terminal until training ends.
         progress: part of that.
         tracking: is told of every epoch.
+        compiler: compiles their programs.
     """
     from cgm_jax.host.runner import run_jobs
 
@@ -262,13 +270,13 @@ def _train(
     try:
         with shown:
             seconds = options.checkpoint_seconds
-            rows = run_jobs(jobs, directory, progress, interruption, seconds, tracking)
+            rows = run_jobs(jobs, directory, progress, interruption, seconds, tracking, compiler)
     except DeviceError as error:
         print(f"error: {error}", file=sys.stderr)
         print(_how_to_resume(directory.path, tracking.name), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:
-        interruption.last_words = None  # these are
+        interruption.last_words = None  # the line that follows is the last one
         print(f"stopped; {_how_to_resume(directory.path, tracking.name)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))

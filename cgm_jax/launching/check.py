@@ -10,7 +10,7 @@ one.
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.asked import asked_for
@@ -23,26 +23,41 @@ from cgm_jax.sweep import SweepOptions
 
 PROGRAM = "cgm_jax.launching.check"
 HERE, ELSEWHERE = "here", "elsewhere"
+PATIENCE_SECONDS = 300.0
 
 
-def check_sweep(words: Sequence[str], *, here: bool) -> None:
-    """Check a sweep in a process of its own.
+def check_sweep(words: Sequence[str], part: Mapping[str, str] | None) -> None:
+    """Check a sweep in a process of its own; if that cannot be done, say so and let it be.
 
     Args:
         words: options of the sweep, which name no code but what the user has named.
-        here: whether this machine is to train it.
+        part: variables of a part, if parts train on this machine.
 
     Raises:
         SettingError: parts of it would be refused.
     """
-    command = [sys.executable, "-m", PROGRAM, HERE if here else ELSEWHERE, *words]
-    environment = os.environ if here else {**os.environ, "JAX_PLATFORMS": "cpu"}
-    result = subprocess.run(
-        command, env=environment, capture_output=True, text=True, errors="replace", check=False
-    )
-    if result.returncode != ExitCode.DONE:
-        last = (result.stderr.splitlines() or [f"exit code {result.returncode}"])[-1]
-        raise SettingError(last.removeprefix("error: "))
+    environment = {**os.environ, **(part or {})}
+    if part is None:  # other machines may have what this one lacks
+        environment.pop("JAX_PLATFORMS", None)
+    command = [sys.executable, "-m", PROGRAM, ELSEWHERE if part is None else HERE, *words]
+    try:
+        result = subprocess.run(
+            command,
+            env=environment,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=PATIENCE_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        print(f"not checked beforehand: it takes over {PATIENCE_SECONDS:.0f} s", file=sys.stderr)
+        return
+    lines = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+    if result.returncode == ExitCode.BAD_INPUT and lines:
+        raise SettingError(lines[-1].removeprefix("error: "))
+    if result.returncode:
+        print(f"not checked beforehand: exit code {result.returncode}", file=sys.stderr)
 
 
 def main() -> int:

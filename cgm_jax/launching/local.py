@@ -45,6 +45,19 @@ class Local:
         self._memory = max(1, int(memory))
         self._attempts: dict[int, tuple[Attempt, list[str]]] = {}
 
+    def for_check(self) -> dict[str, str]:
+        """See `Engine`."""
+        return self._environment(self._gpus[: self._wanted])
+
+    def _environment(self, gpus: Sequence[str]) -> dict[str, str]:
+        """Variables of a part that has these GPUs."""
+        environment = {MEMORY_VARIABLE: str(self._memory)}
+        if self._hides:
+            environment["CUDA_VISIBLE_DEVICES"] = ",".join(gpus)
+        if self._hides and not gpus:
+            environment["JAX_PLATFORMS"] = "cpu"
+        return environment
+
     def begin(self, launch: Launch) -> None:
         """See `Engine`."""
         self._launch = launch
@@ -57,11 +70,7 @@ class Local:
         """See `Engine`."""
         for part in parts:
             gpus, self._gpus = self._gpus[: self._wanted], self._gpus[self._wanted :]
-            environment = {MEMORY_VARIABLE: str(self._memory)}
-            if self._hides:
-                environment["CUDA_VISIBLE_DEVICES"] = ",".join(gpus)
-            if self._hides and not gpus:
-                environment["JAX_PLATFORMS"] = "cpu"
+            environment = self._environment(gpus)
             order = self._launch.order(part, self.cores, environment, session=True)
             self._attempts[part] = Attempt(order), gpus
         return parts

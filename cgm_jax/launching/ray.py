@@ -57,6 +57,9 @@ class Ray:
         given = {name: value for name, value in options.items() if value is not None}
         self._attempt = ray.remote(**given)(_make_attempt())
 
+    def for_check(self) -> None:
+        """See `Engine`."""
+
     def begin(self, launch: Launch) -> None:
         """See `Engine`."""
         self._launch = launch

@@ -78,8 +78,7 @@ class Slurm:
         """Prepare to submit.
 
         Raises:
-            SettingError: submitit or SLURM is missing, SLURM does not answer, or a resource cannot
-                be asked for.
+            SettingError: submitit or SLURM is missing, or a resource cannot be asked for.
         """
         if importlib.util.find_spec("submitit") is None:
             raise SettingError(
@@ -90,12 +89,15 @@ class Slurm:
                 raise SettingError(f"on: there is no SLURM here: {program} is not found")
         if resources.minutes < MIN_MINUTES:
             raise SettingError(f"minutes: {resources.minutes} is not at least {MIN_MINUTES}")
-        job_states()
         self._resources, self._cores = resources, resources.cores or 1
         self._sbatch = sbatch_options(resources.sbatch)
         self._jobs: dict[int, str] = {}
         self._missed: dict[int, int] = {}
         self._asked, self._accepted = 0.0, False
+
+    def for_check(self) -> None:
+        """See `Engine`."""
+        job_states()
 
     def begin(self, launch: Launch) -> None:
         """See `Engine`."""

@@ -37,6 +37,17 @@ class Engine(Protocol):
         """What happens to attempts when the launcher is stopped; "" if they are, too."""
         ...
 
+    def for_check(self) -> dict[str, str] | None:
+        """Variables of a part, for a process here that checks whether it can train.
+
+        Returns:
+            The variables; None if parts train on other machines.
+
+        Raises:
+            SettingError: whoever is to start them does not answer.
+        """
+        ...
+
     def begin(self, launch: Launch) -> None:
         """The attempts to come are at the parts of this launch."""
         ...

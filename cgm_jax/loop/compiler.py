@@ -4,13 +4,14 @@ XLA compiles outside of Python, in C++. So a thread compiles one program while t
 next, and evaluation's is compiled while the first epoch trains.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Any
 
 import jax
 
+from cgm_jax.config.grid import structure
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.training import Programs
 
@@ -28,13 +29,22 @@ class Compiling:
         """Run it."""
         return self._compiled.result()(*arguments)
 
+    def is_done(self) -> bool:
+        """Whether a call would not have to wait."""
+        return self._compiled.done()
+
     def wait(self) -> None:
         """Wait without running it."""
         self._compiled.result()
 
 
+def is_compiling(program: Callable[..., Any]) -> bool:
+    """Whether a `Compiler` has not done with a program yet."""
+    return isinstance(program, Compiling) and not program.is_done()
+
+
 def wait_for(program: Callable[..., Any]) -> None:
-    """Wait until a program is compiled, if a `Compiler` does that."""
+    """Wait until a program is compiled, if a `Compiler` does that; raise what that raised."""
     if isinstance(program, Compiling):
         program.wait()
 
@@ -48,7 +58,7 @@ class Compiler:
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="compiler")
-        self._asked: dict[tuple[Program, int], Compiling] = {}
+        self._asked: dict[Hashable, Compiling] = {}
 
     def __enter__(self) -> "Compiler":
         return self
@@ -64,10 +74,11 @@ class Compiler:
     def programs(
         self, programs: Programs, hyper: Hyperparameters, *, starts: bool = True
     ) -> Programs:
-        """Have programs compiled for some runs.
+        """Have programs compiled for some runs, unless they are already.
 
         What starts and trains is traced here and now; evaluation's program, which is needed last,
-        by the thread, once the others are compiled.
+        by the thread once the others are compiled, outside of JAX's context managers that the
+        caller may be within.
 
         Args:
             programs: to compile.
@@ -75,25 +86,28 @@ class Compiler:
             starts: whether states are to be made; those of a checkpoint are there.
 
         Returns:
-            The same programs for so many runs, each of them `Compiling`.
+            The same programs for so many runs of this structure, each of them `Compiling`.
         """
+        runs = len(jax.tree.leaves(hyper)[0])
+        kind = (runs, structure(programs.trainer.setup.settings, hyper))
         states = programs.shapes(hyper)
+        start = self._traced(programs.start, kind, hyper) if starts else programs.start
         return programs._replace(
-            start=self._compiled(programs.start, hyper) if starts else programs.start,
-            train=self._compiled(programs.train, states, hyper, 1),
-            evaluate=self._compiled(programs.evaluate, states, hyper, later=True),
+            start=start,
+            train=self._traced(programs.train, kind, states, hyper, 1),
+            evaluate=self._traced_later(programs.evaluate, kind, states, hyper),
         )
 
-    def _compiled(self, program: Program, *arguments: Any, later: bool = False) -> Compiling:
-        key = program, len(jax.tree.leaves(arguments)[0])
-        if key not in self._asked:
-            if later:
-                compiled = self._worker.submit(_trace_and_compile, program, *arguments)
-            else:
-                compiled = self._worker.submit(program.lower(*arguments).compile)
-            self._asked[key] = Compiling(compiled)
-        return self._asked[key]
+    def _traced(self, program: Program, kind: Hashable, *arguments: Any) -> Compiling:
+        """A program that is traced by the caller."""
+        if (program, kind) not in self._asked:
+            compiled = self._worker.submit(program.lower(*arguments).compile)
+            self._asked[program, kind] = Compiling(compiled)
+        return self._asked[program, kind]
 
-
-def _trace_and_compile(program: Program, *arguments: Any) -> Program:
-    return program.lower(*arguments).compile()
+    def _traced_later(self, program: Program, kind: Hashable, *arguments: Any) -> Compiling:
+        """A program that is traced by the thread."""
+        if (program, kind) not in self._asked:
+            compiled = self._worker.submit(lambda: program.lower(*arguments).compile())
+            self._asked[program, kind] = Compiling(compiled)
+        return self._asked[program, kind]

@@ -81,7 +81,7 @@ def _started(engine: str) -> dict[str, Any]:
             check=True,
             text=True,
         )
-    return json.loads(process.stdout)
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def _phases(engine: str, since: float) -> dict[str, Any]:

@@ -23,11 +23,11 @@ class SharedPrograms:
     @contextlib.contextmanager
     def used(self) -> Iterator[None]:
         """Have sweeps in the block take them."""
-        compiler = contextlib.nullcontext(self._compiler)
+        mine = contextlib.nullcontext(self._compiler)
         with (
             mock.patch.object(runner, "make_trainer", self._trainer),
             mock.patch.object(runner, "make_programs", self._made),
-            mock.patch.object(runner, "Compiler", return_value=compiler),
+            mock.patch("cgm_jax.loop.compiler.Compiler", return_value=mine),
         ):
             yield
 

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.host import runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.host.pace import Pace
+from cgm_jax.loop.compiler import Compiling
 from cgm_jax.results import figures
 from cgm_jax.results.figures import draw_figures
 from cgm_jax.storage.checkpoints import finished_checkpoints
@@ -63,12 +65,32 @@ def test_what_outlasts_a_signals_patience(
     cycle: int, cycle_seconds: float, evaluation_seconds: float | None, outlasts: bool
 ) -> None:
     settings = Settings(cycles_per_epoch=2)
-    job = runner.Job(Group(settings, ()), programs=None)  # pyright: ignore[reportArgumentType]
+    programs: Any = SimpleNamespace(evaluate=len)  # compiled, as far as anybody knows
+    job = runner.Job(Group(settings, ()), programs)
     training = TrainingProgress(state=None, cycle=cycle)  # pyright: ignore[reportArgumentType]
     recorder, pace = SimpleNamespace(save_seconds=2.0), Pace()
     pace.cycle, pace.evaluation = cycle_seconds, evaluation_seconds
     measured: Any = (recorder, pace)
     assert runner._may_outlast_patience(job, training, *measured) is outlasts
+
+
+def test_slow_disks_do_not_make_short_cycles_long_and_an_evaluation_that_still_compiles_is() -> (
+    None
+):
+    job = runner.Job(Group(Settings(cycles_per_epoch=2), ()), SimpleNamespace(evaluate=len))  # pyright: ignore
+    training: Any = SimpleNamespace(cycle=1)
+    recorder: Any = SimpleNamespace(save_seconds=60.0)
+    pace = Pace()
+    pace.cycle = 3.9
+    assert not runner._may_outlast_patience(job, training, recorder, pace)
+    pace.cycle = 4.1
+    assert runner._may_outlast_patience(job, training, recorder, pace)
+    compiling = Compiling(Future())
+    job = dataclasses.replace(job, programs=SimpleNamespace(evaluate=compiling))  # pyright: ignore
+    training.cycle, pace.cycle = 2, 1.1
+    assert runner._may_outlast_patience(job, training, recorder, pace)
+    pace.cycle = 0.9  # little would be lost
+    assert not runner._may_outlast_patience(job, training, recorder, pace)
 
 
 def test_what_a_signal_cannot_wait_for_begins_with_nothing_to_lose(

@@ -15,13 +15,14 @@ import pytest
 from cgm_jax import launch as program
 from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
-from cgm_jax.launching import local, ray, slurm
+from cgm_jax.launching import check, local, ray, slurm
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.progress import JointProgress, Rows
 from cgm_jax.launching.record import last_code, position
 from cgm_jax.launching.slurm import sbatch_options
+from cgm_jax.machine.allotment import MEMORY_VARIABLE
 from cgm_jax.storage.lock import InUseError, locked
 from cgm_jax.storage.metrics import to_lines
 from tests.cgm_jax.launching.launches import (
@@ -99,9 +100,41 @@ def test_what_parts_would_refuse_is_refused_before_anything_is_made(
 
 def test_what_depends_on_the_machine_is_not_checked_where_others_train() -> None:
     words = [*SMOKE[1:], "--devices", "300", "--environments", "1000000"]
-    check_sweep(words, here=False)
+    check_sweep(words, None)
     with pytest.raises(SettingError, match=r"^env: unknown environment 'nosuch'"):
-        check_sweep([*words, "--env", "nosuch"], here=False)
+        check_sweep([*words, "--env", "nosuch"], None)
+
+
+def test_a_part_is_checked_with_the_memory_that_it_gets(folder: Path) -> None:
+    words = ["--jobs", "2", "--memory", "0.5", "--out", "out", *SMOKE]
+    with pytest.raises(SettingError, match=r"^memory: one run takes .*, and [0-9.]+ MiB are free$"):
+        program.main(words)
+    assert not list(folder.iterdir())
+
+
+def test_what_cannot_be_checked_is_launched(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(check, "PROGRAM", "no.such.module")
+    check_sweep(SMOKE[1:], None)
+    assert capsys.readouterr().err == "not checked beforehand: exit code 1\n"
+    monkeypatch.setattr(check, "PATIENCE_SECONDS", 0.01)
+    check_sweep(SMOKE[1:], None)
+    assert capsys.readouterr().err == "not checked beforehand: it takes over 0 s\n"
+
+
+def test_a_launch_is_checked_when_it_is_new(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked = []
+    monkeypatch.setattr(local, "visible_gpus", list)
+    monkeypatch.setattr(program, "check_sweep", lambda words, part: checked.append((words, part)))
+    words = ["--jobs", "2", "--out", "out", *SMOKE]
+    for again in (words, words, ["--resume", "out"]):
+        assert program.main(again) == 0
+    ((_, part),) = checked
+    assert len(planned) == 3
+    assert set(part) == {MEMORY_VARIABLE}  # here, as one of two parts
 
 
 def test_unknown_options_end_with_one_line(

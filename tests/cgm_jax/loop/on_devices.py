@@ -18,6 +18,7 @@ import numpy as np
 from cgm_jax.config.fields import stack
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.loop.compiler import Compiler
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
@@ -40,14 +41,22 @@ def main() -> None:
 def digests(runs: int, first: int, second: int, *, directory: Path) -> list[str]:
     """Of each run's state and metrics, begun on some devices and resumed on others."""
     hyper = stack([tiny(seed=i, c_g=0.1 + 0.2 * i) for i in range(runs)])
-    programs = programs_on(first)
+    with Compiler() as compiler:
+        programs, later = (
+            compiler.programs(programs_on(devices), hyper) for devices in (first, second)
+        )
+        return _digests(runs, hyper, programs, later, directory)
+
+
+def _digests(
+    runs: int, hyper: Any, programs: Programs, later: Programs, directory: Path
+) -> list[str]:
     state, before = programs.evaluate(programs.train(programs.start(hyper), hyper, 2), hyper)
     save_checkpoint(directory, 0, TrainingProgress(state, runs=runs))
     training, _ = load_checkpoint(directory, 0, jax.eval_shape(jax.vmap(TRAINER.init), hyper))
     assert training is not None
-    programs = programs_on(second)
-    state = programs.train(programs.spread(training.state), hyper, 2)
-    return digests_of((*programs.evaluate(state, hyper), before), runs)
+    state = later.train(later.spread(training.state), hyper, 2)
+    return digests_of((*later.evaluate(state, hyper), before), runs)
 
 
 def programs_on(devices: int) -> Programs:

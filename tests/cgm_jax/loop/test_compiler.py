@@ -6,19 +6,19 @@ import jax
 import pytest
 
 from cgm_jax.config.fields import stack
-from cgm_jax.loop.compiler import Compiler
+from cgm_jax.loop.compiler import Compiler, is_compiling
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.protocols import assert_same
 from tests.examples.point_mass import PointMass
 
-PROGRAMS = make_programs(make_trainer(PointMass(), TINY), jax.devices()[:2])
+PROGRAMS = make_programs(make_trainer(PointMass(), TINY))
 THREE, FOUR = (stack([tiny(seed=seed) for seed in range(count)]) for count in (3, 4))
 
 
 def trained(programs: Programs) -> Any:
-    """Two epochs of three runs on two devices, a row left over."""
+    """Two epochs of three runs; on more devices, and with rows left over, see test_devices.py."""
     state = programs.start(THREE)
     for cycles in (1, 2):
         state = programs.train(state, THREE, cycles)
@@ -50,11 +50,21 @@ def test_another_number_of_runs_has_programs_of_its_own() -> None:
         assert four.start(FOUR).env_steps.shape == (4,)
 
 
+def test_curricula_that_jax_takes_for_alike_have_programs_of_their_own() -> None:
+    full, uniform = (stack([tiny(curriculum=name)]) for name in ("full", "uniform"))
+    assert jax.tree.structure(full) == jax.tree.structure(uniform)  # as JAX has it
+    with Compiler() as compiler:
+        both = [compiler.programs(PROGRAMS, hyper) for hyper in (full, uniform)]
+        assert both[0].train is not both[1].train
+        assert both[0].train is compiler.programs(PROGRAMS, full).train
+
+
 class Slow:
     """Stands for what `jax.jit` returns: lowers at once, and compiles when it is let go."""
 
     def __init__(self, log: list[str], name: str, let_go: threading.Event) -> None:
         self._log, self._name, self._let_go = log, name, let_go
+        self.begun = threading.Event()
 
     def lower(self, *_: object) -> "Slow":
         self._log.append(f"{self._name} traced")
@@ -62,6 +72,7 @@ class Slow:
 
     def compile(self) -> Any:
         assert threading.current_thread() is not threading.main_thread()
+        self.begun.set()
         assert self._let_go.wait(timeout=60)
         self._log.append(f"{self._name} compiled")
         if self._name == "train":
@@ -80,18 +91,27 @@ def test_each_is_waited_for_by_itself_and_evaluation_is_traced_last() -> None:
     with Compiler() as compiler:
         programs = compiler.programs(slow_programs(log, let_go), THREE)
         assert log == ["start traced", "train traced"]
+        assert is_compiling(programs.start)
         let_go.set()
         assert programs.start(THREE) == "start has run"
         with pytest.raises(RuntimeError, match="it does not compile"):
             programs.train(None, THREE, 1)  # pyright: ignore[reportArgumentType]
         assert programs.evaluate(None, THREE) == "evaluate has run"  # pyright: ignore
+        assert not is_compiling(programs.evaluate)
     assert log[2:] == ["start compiled", "train compiled", "evaluate traced", "evaluate compiled"]
 
 
 def test_leaving_drops_what_has_not_begun_to_compile_and_waits_for_what_has() -> None:
     log, let_go = [], threading.Event()
+    slow = slow_programs(log, let_go)
     with Compiler() as compiler:
-        compiler.programs(slow_programs(log, let_go), THREE)
-        time.sleep(0.2)  # in which the first one begins
-        threading.Timer(0.2, let_go.set).start()
+        compiler.programs(slow, THREE)
+        assert slow.start.begun.wait(timeout=60)  # pyright: ignore[reportFunctionMemberAccess]
+
+        def let_go_once_left() -> None:
+            while not compiler._worker._shutdown:
+                time.sleep(0.01)
+            let_go.set()
+
+        threading.Thread(target=let_go_once_left).start()
     assert log[2:] == ["start compiled"]

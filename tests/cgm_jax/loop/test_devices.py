@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from cgm_jax.loop.devices import Share, share, spread, team_of
-from tests.cgm_jax.sweeps import ROOT, assert_same_results, command, finish
+from tests.cgm_jax.sweeps import (
+    POINT_MASS,
+    ROOT,
+    assert_same_results,
+    command,
+    finish,
+    rows,
+)
 
 
 @pytest.mark.parametrize(
@@ -52,9 +59,41 @@ def test_a_run_has_the_same_bits_among_any_number_of_runs_and_devices(tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_sweep_has_the_same_bits_on_any_number_of_devices(tmp_path: Path) -> None:
-    outs = [tmp_path / str(devices) for devices in (1, 2, 3, 4)]
-    for out in outs:
-        finish(command("--seeds", "3", "--devices", out.name, "--out", str(out)))
-    for out in outs[1:]:
-        assert_same_results(outs[0], out)
+def test_a_sweep_has_the_same_bits_on_any_number_of_devices_and_in_unequal_parts(
+    tmp_path: Path,
+) -> None:
+    outs = {name: tmp_path / name.replace(" ", "") for name in ("1", "2", "3", "4", "2 4")}
+    for name, out in outs.items():
+        devices, *side_by_side = name.split()
+        options = ["--kappa", "4", "--seeds", "7", "--epochs", "2", "--devices", devices]
+        options += ["--side-by-side", *side_by_side] if side_by_side else []
+        finish(command(*options, "--out", str(out)))
+    for name in ("2", "3", "4"):
+        assert_same_results(outs["1"], outs[name])
+    # Four runs, then three: on two devices as many rows, but programs of their own.
+    parts = {(row["run"], row["epoch"]): row for row in rows(outs["2 4"])}
+    assert parts == {(row["run"], row["epoch"]): row for row in rows(outs["1"])}
+
+
+@pytest.mark.slow
+def test_curricula_and_agents_of_one_sweep_train_as_they_do_alone(tmp_path: Path) -> None:
+    options = ["--env", POINT_MASS, "--seed", "0", "--epochs", "2", "--devices", "1"]
+    sweeps = {
+        "curriculum": ["full", "uniform", "progress", "vds"],
+        "agent": ["ddpg", "sac"],
+    }
+    for kind, names in sweeps.items():
+        together = tmp_path / kind
+        chosen = [*options, f"--{kind}"]
+        finish(command(*chosen, *names, "--out", str(together)))
+        found = rows(together)
+        for name in names:
+            finish(command(*chosen, name, "--out", str(tmp_path / name)))
+            alone = rows(tmp_path / name)
+            mine = [row for row in found if row[kind] == name]
+            assert len(alone) == len(mine) >= 2
+            # Which settings a sweep compares, and so what its rows tell, is not the runs' affair.
+            for one, other in zip(alone, mine, strict=True):
+                both = set(one) & set(other) - {"run", "swept"}
+                assert {key: one[key] for key in both} == {key: other[key] for key in both}
+        assert len({row["value"] for row in found if row["epoch"] == 2}) == len(found) // 2
