@@ -31,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fresh = launch.path == Path() or not (launch.path / LAUNCH).exists()
     engine = _engine(launch)
     if fresh:
-        check_sweep(launch.sweep, engine.for_check())
+        engine.check()
+        check_sweep(launch.sweep, engine.variables_here())
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.
     with Interruption(
         patience=PATIENCE_SECONDS + 5,
@@ -68,6 +69,8 @@ def _engine(launch: Launch) -> Engine:
 def _claimed(launch: Launch, *, fresh: bool) -> Iterator[RunDirectory]:
     """The launch's directory, in which no other launcher is meanwhile."""
     with RunDirectory.claimed(launch.path, fresh=fresh) as directory:
+        if fresh and (launch.path / LAUNCH).exists():  # made while the sweep was checked
+            raise SettingError(f"out: {launch.path} already holds a launch")
         try:
             launch.write()
         except OSError as error:

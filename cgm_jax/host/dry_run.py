@@ -117,7 +117,7 @@ def _measured(job: Job) -> Pace:
     with device_errors(), Compiler() as compiler:
         began = time.monotonic()
         programs = compiler.programs(job.programs, hyper)
-        state = programs.start(hyper)
+        state = jax.block_until_ready(programs.start(hyper))
         for program in (programs.train, programs.evaluate):
             wait_for(program)
         compiling = time.monotonic() - began

@@ -54,7 +54,7 @@ class Recorder:
         self._facts = [_facts(run, swept) for run in group.runs]
         self._interval = checkpoint_seconds
         self._saved = time.monotonic()
-        self.save_seconds = 2.0
+        self.save_seconds = 1.0
         self._config = directory.config_bytes()  # as it was when training began
         self._best = {run.name: 0.0 for run in group.runs}
         for row in rows:
@@ -81,13 +81,16 @@ class Recorder:
                 print(f"{note}; it learns no more, the others continue", file=sys.stderr)
         return rows
 
+    def unsaved_seconds(self) -> float:
+        """Since the last checkpoint, or since recording began."""
+        return time.monotonic() - self._saved
+
     def save_if_due(self, training: TrainingProgress) -> bool:
         """Write a checkpoint if the last one is old; whether it has been written.
 
         If that fails, say so and continue.
         """
-        due = time.monotonic() - self._saved >= self._interval
-        return due and self.try_to_save(training)
+        return self.unsaved_seconds() >= self._interval and self.try_to_save(training)
 
     def try_to_save(self, training: TrainingProgress) -> bool:
         """Write policies and a checkpoint; if that fails, say so, continue, and return false."""

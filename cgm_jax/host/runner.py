@@ -72,7 +72,7 @@ def plan_jobs(
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
         if settings not in environments:
             environments[settings] = make_environment(settings)
-        # One of its own: JAX would take what it has traced of one curriculum for another's.
+        # One of its own: curricula with alike settings JAX tells apart by the hash alone.
         trainer = make_trainer(environments[settings], settings)
         _check_counters(trainer)
         check_components(trainer, runs[0])
@@ -221,6 +221,10 @@ def _begin(
         if training is None or not _is_finished(job.group, training):
             programs = compiler.programs(job.programs, hyper, starts=training is None)
             job = replace(job, programs=programs)
+            if programs.trainer.setup.platform != "cpu":
+                # A GPU is to have nothing else to do while XLA tries what is fastest on it.
+                for program in (programs.start, programs.train, programs.evaluate):
+                    wait_for(program)
         if training is None:
             state = job.programs.start(hyper)
             if (start := start_beside(directory.path / CONFIG)) is not None:
@@ -308,12 +312,14 @@ def _may_outlast_patience(
 ) -> bool:
     """Whether what comes next may take longer than a signal can wait, with a checkpoint after it.
 
+    Where checkpoints take long it is said less often than it is so: a fifth of the time is enough.
     Of an evaluation that is the first of this process nothing is known. It is taken for as long as
     the cycles before it, which would be lost; and for longer than patience while it compiles, if
     more than a chunk would be lost.
     """
-    # On the slowest disks a signal cannot wait for anything; to save more often would not help.
-    patience = PATIENCE_SECONDS - min(recorder.save_seconds, PATIENCE_SECONDS / 2)
+    if recorder.unsaved_seconds() < 4 * recorder.save_seconds:
+        return False
+    patience = PATIENCE_SECONDS - recorder.save_seconds
     if training.cycle < job.group.settings.cycles_per_epoch:
         return (pace.cycle or 0.0) > patience
     if pace.evaluation is not None:
@@ -341,9 +347,6 @@ def _train_chunk(
     with device_errors():
         if pace.cycle is None:
             wait_for(job.programs.train)
-            if job.programs.trainer.setup.platform != "cpu":
-                # A GPU is to have nothing else to do while XLA tries what is fastest.
-                wait_for(job.programs.evaluate)
         began = time.monotonic()
         training.state = jax.block_until_ready(job.programs.train(training.state, hyper, cycles))
     seconds = time.monotonic() - began

@@ -37,8 +37,8 @@ def check_sweep(words: Sequence[str], part: Mapping[str, str] | None) -> None:
         SettingError: parts of it would be refused.
     """
     environment = {**os.environ, **(part or {})}
-    if part is None:  # other machines may have what this one lacks
-        environment.pop("JAX_PLATFORMS", None)
+    if part is None:  # whatever GPU this machine has or lacks is not the parts'
+        environment["JAX_PLATFORMS"] = "cpu"
     command = [sys.executable, "-m", PROGRAM, ELSEWHERE if part is None else HERE, *words]
     try:
         result = subprocess.run(

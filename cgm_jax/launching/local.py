@@ -45,7 +45,10 @@ class Local:
         self._memory = max(1, int(memory))
         self._attempts: dict[int, tuple[Attempt, list[str]]] = {}
 
-    def for_check(self) -> dict[str, str]:
+    def check(self) -> None:
+        """See `Engine`."""
+
+    def variables_here(self) -> dict[str, str]:
         """See `Engine`."""
         return self._environment(self._gpus[: self._wanted])
 

@@ -57,7 +57,10 @@ class Ray:
         given = {name: value for name, value in options.items() if value is not None}
         self._attempt = ray.remote(**given)(_make_attempt())
 
-    def for_check(self) -> None:
+    def check(self) -> None:
+        """See `Engine`; to connect was to ask."""
+
+    def variables_here(self) -> None:
         """See `Engine`."""
 
     def begin(self, launch: Launch) -> None:

@@ -95,9 +95,12 @@ class Slurm:
         self._missed: dict[int, int] = {}
         self._asked, self._accepted = 0.0, False
 
-    def for_check(self) -> None:
+    def check(self) -> None:
         """See `Engine`."""
         job_states()
+
+    def variables_here(self) -> None:
+        """See `Engine`."""
 
     def begin(self, launch: Launch) -> None:
         """See `Engine`."""

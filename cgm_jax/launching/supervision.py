@@ -37,15 +37,16 @@ class Engine(Protocol):
         """What happens to attempts when the launcher is stopped; "" if they are, too."""
         ...
 
-    def for_check(self) -> dict[str, str] | None:
-        """Variables of a part, for a process here that checks whether it can train.
-
-        Returns:
-            The variables; None if parts train on other machines.
+    def check(self) -> None:
+        """Ask whoever is to start attempts whether they are there.
 
         Raises:
-            SettingError: whoever is to start them does not answer.
+            SettingError: they do not answer.
         """
+        ...
+
+    def variables_here(self) -> dict[str, str] | None:
+        """Variables of a part that trains on this machine; None if parts train on others."""
         ...
 
     def begin(self, launch: Launch) -> None:

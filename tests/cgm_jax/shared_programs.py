@@ -16,14 +16,14 @@ class SharedPrograms:
     """Programs by environment and settings, each compiled once, on one device."""
 
     def __init__(self) -> None:
-        self._compiler = Compiler()
+        self.compiler = Compiler()
         self._trainer = functools.cache(make_trainer)
         self._programs: dict[Any, Programs] = {}
 
     @contextlib.contextmanager
     def used(self) -> Iterator[None]:
         """Have sweeps in the block take them."""
-        mine = contextlib.nullcontext(self._compiler)
+        mine = contextlib.nullcontext(self.compiler)
         with (
             mock.patch.object(runner, "make_trainer", self._trainer),
             mock.patch.object(runner, "make_programs", self._made),
@@ -33,7 +33,7 @@ class SharedPrograms:
 
     def close(self) -> None:
         """Wait for what still compiles."""
-        with self._compiler:
+        with self.compiler:
             pass
 
     def _made(self, trainer: Trainer, _: object) -> Programs:

@@ -2,16 +2,19 @@
 
 import asyncio
 import builtins
+import contextlib
 import csv
 import dataclasses
 import io
 import json
+import os
 import resource
 import shutil
 import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +32,7 @@ from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, run_of
 from cgm_jax.config.settings import Settings
-from cgm_jax.host import runner, session
+from cgm_jax.host import recorder, runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.host.pace import Pace
 from cgm_jax.loop.compiler import Compiling
@@ -44,6 +47,7 @@ from tests.cgm_jax.host.in_process import (
     stop_at_epoch,
     train,
 )
+from tests.cgm_jax.shared_programs import SharedPrograms
 from tests.cgm_jax.sweeps import assert_same_results, final_state, rows
 from tests.examples.point_mass import PointMass
 
@@ -64,33 +68,74 @@ pytestmark = pytest.mark.usefixtures("in_process")
 def test_what_outlasts_a_signals_patience(
     cycle: int, cycle_seconds: float, evaluation_seconds: float | None, outlasts: bool
 ) -> None:
-    settings = Settings(cycles_per_epoch=2)
-    programs: Any = SimpleNamespace(evaluate=len)  # compiled, as far as anybody knows
-    job = runner.Job(Group(settings, ()), programs)
-    training = TrainingProgress(state=None, cycle=cycle)  # pyright: ignore[reportArgumentType]
-    recorder, pace = SimpleNamespace(save_seconds=2.0), Pace()
-    pace.cycle, pace.evaluation = cycle_seconds, evaluation_seconds
-    measured: Any = (recorder, pace)
-    assert runner._may_outlast_patience(job, training, *measured) is outlasts
+    assert outlasts_patience(cycle, cycle_seconds, evaluation_seconds) is outlasts
+    # On a slow disk, most of the time is for training.
+    assert not outlasts_patience(
+        cycle, cycle_seconds, evaluation_seconds, save_seconds=60.0, unsaved_seconds=230.0
+    )
+    assert outlasts_patience(1, 0.5, save_seconds=60.0, unsaved_seconds=250.0)
 
 
-def test_slow_disks_do_not_make_short_cycles_long_and_an_evaluation_that_still_compiles_is() -> (
-    None
-):
-    job = runner.Job(Group(Settings(cycles_per_epoch=2), ()), SimpleNamespace(evaluate=len))  # pyright: ignore
-    training: Any = SimpleNamespace(cycle=1)
-    recorder: Any = SimpleNamespace(save_seconds=60.0)
-    pace = Pace()
-    pace.cycle = 3.9
-    assert not runner._may_outlast_patience(job, training, recorder, pace)
-    pace.cycle = 4.1
-    assert runner._may_outlast_patience(job, training, recorder, pace)
+def test_an_evaluation_that_still_compiles_outlasts_patience_if_something_is_to_lose() -> None:
     compiling = Compiling(Future())
-    job = dataclasses.replace(job, programs=SimpleNamespace(evaluate=compiling))  # pyright: ignore
-    training.cycle, pace.cycle = 2, 1.1
-    assert runner._may_outlast_patience(job, training, recorder, pace)
-    pace.cycle = 0.9  # little would be lost
-    assert not runner._may_outlast_patience(job, training, recorder, pace)
+    assert outlasts_patience(2, 1.1, evaluate=compiling)
+    assert not outlasts_patience(2, 0.9, evaluate=compiling)
+
+
+def outlasts_patience(
+    cycle: int,
+    cycle_seconds: float,
+    evaluation_seconds: float | None = None,
+    *,
+    save_seconds: float = 2.0,
+    unsaved_seconds: float = 100.0,
+    evaluate: Callable[..., Any] = len,  # compiled, as far as anybody knows
+) -> bool:
+    """What the runner holds of what comes after so many of an epoch's two cycles."""
+    programs: Any = SimpleNamespace(evaluate=evaluate)
+    job = runner.Job(Group(Settings(cycles_per_epoch=2), ()), programs)
+    training: Any = SimpleNamespace(cycle=cycle)
+    recorder: Any = SimpleNamespace(
+        save_seconds=save_seconds, unsaved_seconds=lambda: unsaved_seconds
+    )
+    pace = Pace()
+    pace.cycle, pace.evaluation = cycle_seconds, evaluation_seconds
+    return runner._may_outlast_patience(job, training, recorder, pace)
+
+
+def test_a_signal_while_a_checkpoint_is_written_ends_with_that_one(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, save = tmp_path / "out", recorder.Recorder.save
+
+    def saving(self: recorder.Recorder, training: TrainingProgress) -> None:
+        if (training.epoch, training.cycle) == (1, 0):
+            os.kill(os.getpid(), signal.SIGTERM)
+        save(self, training)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder.Recorder, "save", saving)
+        assert train(out, *ALWAYS) == 75
+    last = finished_checkpoints(out / "checkpoints", 0)[-1]
+    assert last.stem == "group0_epoch000001_cycle000000"
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_all_else_is_done_before_what_still_compiles_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_programs: SharedPrograms
+) -> None:
+    done: list[str] = []
+
+    @contextlib.contextmanager
+    def compiler() -> Iterator[Any]:
+        yield shared_programs.compiler
+        done.append("waited")
+
+    monkeypatch.setattr("cgm_jax.loop.compiler.Compiler", compiler)
+    monkeypatch.setattr(figures, "draw_figures", lambda _: done.append("figures"))
+    assert train(tmp_path / "out") == 0
+    assert done == ["figures", "waited"]
 
 
 def test_what_a_signal_cannot_wait_for_begins_with_nothing_to_lose(
@@ -124,6 +169,7 @@ def test_what_a_signal_cannot_wait_for_begins_with_nothing_to_lose(
     monkeypatch.setattr(runner, "_train_chunk", chunk)
     monkeypatch.setattr(runner, "_close_epoch", close)
     monkeypatch.setattr(runner, "PATIENCE_SECONDS", 0.0)  # as if all of them took longer
+    monkeypatch.setattr(recorder.Recorder, "unsaved_seconds", lambda _: 100.0)
     assert train(tmp_path / "out") == 0
     # Before the first cycle there is nothing to lose but the beginning.
     assert begun[0] == (True, False)

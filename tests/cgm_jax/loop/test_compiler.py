@@ -54,9 +54,10 @@ def test_curricula_that_jax_takes_for_alike_have_programs_of_their_own() -> None
     full, uniform = (stack([tiny(curriculum=name)]) for name in ("full", "uniform"))
     assert jax.tree.structure(full) == jax.tree.structure(uniform)  # as JAX has it
     with Compiler() as compiler:
-        both = [compiler.programs(PROGRAMS, hyper) for hyper in (full, uniform)]
-        assert both[0].train is not both[1].train
-        assert both[0].train is compiler.programs(PROGRAMS, full).train
+        for hyper in (full, uniform):
+            apart = make_programs(make_trainer(PointMass(), TINY))
+            programs = compiler.programs(PROGRAMS, hyper)
+            assert_same(*(one.train(one.start(hyper), hyper, 3) for one in (apart, programs)))
 
 
 class Slow:
