@@ -13,7 +13,7 @@ their settings agree.
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, field
 from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
@@ -21,6 +21,7 @@ from typing import Any, TypeVar, dataclass_transform
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import GetAttrKey
 
 Class = TypeVar("Class", bound=type)
 Tree = TypeVar("Tree")
@@ -74,7 +75,26 @@ def settings(kind: Class) -> Class:
     kind = dataclass(frozen=True)(kind)
     static_names = [item.name for item in declared(kind) if not item.metadata["traced"]]
     names = [item.name for item in dataclasses.fields(kind) if item.name not in static_names]
-    return jax.tree_util.register_dataclass(kind, data_fields=names, meta_fields=static_names)
+    _register(kind, names, static_names)
+    return kind
+
+
+def _register(kind: type, names: Sequence[str], static_names: Sequence[str]) -> None:
+    """Make a class a pytree of the fields `names`, whose structure are the others and the class.
+
+    JAX's own registration of dataclasses takes the structures of two classes with as many fields
+    for equal, and so now and then what it has traced of one curriculum for another.
+    """
+
+    def flatten(instance: Any) -> tuple[tuple[Any, ...], Any]:
+        children = tuple((GetAttrKey(name), getattr(instance, name)) for name in names)
+        return children, (kind, tuple(getattr(instance, name) for name in static_names))
+
+    def unflatten(structure: Any, children: Iterable[Any]) -> Any:
+        values = zip((*names, *static_names), (*children, *structure[1]), strict=True)
+        return kind(**dict(values))
+
+    jax.tree_util.register_pytree_with_keys(kind, flatten, unflatten)
 
 
 def declared(kind: Any) -> list["Field[Any]"]:

@@ -72,7 +72,6 @@ def plan_jobs(
         settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
         if settings not in environments:
             environments[settings] = make_environment(settings)
-        # One of its own: curricula with alike settings JAX tells apart by the hash alone.
         trainer = make_trainer(environments[settings], settings)
         _check_counters(trainer)
         check_components(trainer, runs[0])

@@ -1,4 +1,7 @@
+import itertools
 from collections import defaultdict
+
+import jax
 
 from cgm_jax.config.components import ROOMS, builtin, builtin_fields
 from cgm_jax.config.fields import declared
@@ -20,6 +23,13 @@ def test_components_are_found_under_the_names_of_their_files() -> None:
     for kind in ROOMS:
         for name, found in builtin(kind).items():
             assert found.__module__.endswith(f".{name}")
+
+
+def test_components_whose_settings_are_alike_are_different_structures() -> None:
+    for kind in ROOMS:
+        structures = [jax.tree.structure(found()) for found in builtin(kind).values()]
+        for one, other in itertools.combinations(structures, 2):  # by comparison, not by hash
+            assert one != other
 
 
 def test_components_that_share_an_option_declare_it_alike() -> None:

@@ -1,8 +1,10 @@
 import json
+from pathlib import Path
 
 import pytest
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.config.named import absolute, name_now
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
@@ -38,9 +40,11 @@ def test_the_present_format_stays_as_it_is_and_a_newer_one_is_refused_by_name() 
 
 
 @pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
-def test_every_committed_sweep_is_read(path: object) -> None:
-    folder = path.parent  # pyright: ignore[reportAttributeAccessIssue]
-    written = json.loads((folder / "config.json").read_text())["groups"]
-    groups = RunDirectory(folder).groups()
+def test_every_committed_sweep_is_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)  # the sliders are named from there
+    written = json.loads(path.read_text())["groups"]
+    for env in {run["env"] for group in written for run in group["runs"] if "env" in run}:
+        name_now(absolute(env))
+    groups = RunDirectory(path.parent).groups()
     names = [run["name"] for group in written for run in group["runs"]]
     assert sorted(run.name for group in groups for run in group.runs) == sorted(names)
