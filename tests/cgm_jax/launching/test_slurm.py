@@ -76,10 +76,15 @@ def test_a_launcher_that_is_stopped_leaves_its_jobs_and_takes_them_up_again(
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 75
     jobs = [job_of(out, part) for part in (1, 2)]
+    # On a busy machine it would be done before the next launcher has begun.
+    second = trainer(out, 2)
+    assert second is not None
+    os.kill(second, signal.SIGSTOP)
     with begun([*launch("slurm", out)[:3], "--resume", str(out)]) as process:
         wait_until(process, lambda: launches(out) == 2, "its beginning")
         time.sleep(3)  # in which it takes the jobs up
         slurm("scancel", jobs[1])  # by its user: that is not tried again
+        os.kill(second, signal.SIGCONT)
         assert process.wait(300) == 75
     assert [job_of(out, part) for part in (1, 2)] == jobs
     assert attempts(out, 1) == [(0, 0)]
