@@ -6,7 +6,6 @@ next, and evaluation's is compiled while the first epoch trains.
 
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
-from types import TracebackType
 from typing import Any
 
 import jax
@@ -63,12 +62,7 @@ class Compiler:
     def __enter__(self) -> "Compiler":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._worker.shutdown(cancel_futures=True)
 
     def programs(
@@ -101,13 +95,14 @@ class Compiler:
     def _traced(self, program: Program, kind: Hashable, *arguments: Any) -> Compiling:
         """A program that is traced by the caller."""
         if (program, kind) not in self._asked:
-            compiled = self._worker.submit(program.lower(*arguments).compile)
-            self._asked[program, kind] = Compiling(compiled)
+            self._submit((program, kind), program.lower(*arguments).compile)
         return self._asked[program, kind]
 
     def _traced_later(self, program: Program, kind: Hashable, *arguments: Any) -> Compiling:
         """A program that is traced by the thread."""
         if (program, kind) not in self._asked:
-            compiled = self._worker.submit(lambda: program.lower(*arguments).compile())
-            self._asked[program, kind] = Compiling(compiled)
+            self._submit((program, kind), lambda: program.lower(*arguments).compile())
         return self._asked[program, kind]
+
+    def _submit(self, key: Hashable, compile_it: Callable[[], Program]) -> None:
+        self._asked[key] = Compiling(self._worker.submit(compile_it))
