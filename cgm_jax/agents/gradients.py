@@ -125,8 +125,8 @@ def check_rounds(actor_update_every: int, sizes: Sizes) -> None:
     Raises:
         SettingError: they do not.
     """
-    if sizes.updates_per_cycle % actor_update_every:
+    if sizes.updates_at_once % actor_update_every:
         raise SettingError(
             f"actor_update_every: {actor_update_every} does not divide "
-            f"updates_per_cycle, {sizes.updates_per_cycle}"
+            f"updates_per_cycle, {sizes.updates_at_once}"
         )

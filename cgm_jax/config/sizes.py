@@ -15,7 +15,7 @@ class Sizes(NamedTuple):
         distance_threshold: a goal is achieved closer than this.
         environments: training episodes per cycle, E.
         evaluation_episodes: noise-free episodes with the full goal per epoch.
-        updates_per_cycle: minibatches that `Agent.train` gets at once.
+        updates_at_once: minibatches that `Agent.train` gets, those of a cycle or of a part of it.
         critics: estimates of the return that the agent's `value` gives.
         starts: a state of the environment without axes as shapes, where an episode can begin in
             one; else None.
@@ -29,6 +29,6 @@ class Sizes(NamedTuple):
     distance_threshold: float
     environments: int
     evaluation_episodes: int
-    updates_per_cycle: int
+    updates_at_once: int
     critics: int
     starts: object | None

@@ -6,6 +6,7 @@
     session.py          from groups of runs to an exit code; dry_run.py what it would be
     differences.py      why what is asked for is not what a directory holds
     extension.py        more epochs; warm_start.py what another run has learned
+    jobs.py             what is trained side by side, as memory allows
     runner.py           the loop over chunks of training; pace.py how long a chunk may be
     recorder.py         what is written after an epoch; progress.py what is shown
     startup.py          JAX's own settings, before it starts

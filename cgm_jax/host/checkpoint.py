@@ -3,6 +3,8 @@
     group0_epoch000003_cycle000012.npz    the whole training state, and the rows of metrics.jsonl
     group0_epoch000003_cycle000012.json   its format, SHA-256, size, and config.json; written last
 
+In the middle of a cycle that is cut, `_part000007` is added to the names: seven parts are done.
+
 A checkpoint without its manifest was never finished. One that does not match it is damaged: it
 is set aside under a name that says so, and the one before serves.
 """
@@ -50,6 +52,7 @@ class TrainingProgress:
         wall_s: seconds of training so far, over all processes that took part.
         rows: its rows of metrics.jsonl so far.
         runs: how many of the state's there are in truth, and are stored; None for all.
+        part: parts done of the next cycle, where cycles are cut.
     """
 
     state: TrainingState
@@ -58,6 +61,7 @@ class TrainingProgress:
     wall_s: float = 0.0
     rows: list[Row] = field(default_factory=list)
     runs: int | None = None
+    part: int = 0
 
 
 def save_checkpoint(
@@ -74,7 +78,9 @@ def save_checkpoint(
     Raises:
         OSError: it cannot be written; the ones before are still there.
     """
-    path = directory / f"group{group}_epoch{training.epoch:06d}_cycle{training.cycle:06d}.npz"
+    name = f"group{group}_epoch{training.epoch:06d}_cycle{training.cycle:06d}"
+    name += f"_part{training.part:06d}" if training.part else ""
+    path = directory / f"{name}.npz"
     manifest_path(path).unlink(missing_ok=True)
     with replacing(path, durable=True) as file:
         hashing = _HashingWriter(file)
@@ -203,7 +209,8 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
         ]
         state = jax.tree.unflatten(structure, restored)
         runs = len(jax.tree.leaves(like)[0])
-        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs)
+        part = 0 if state.unfinished is None else int(state.unfinished.done[0])
+        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs, part)
 
 
 def _check_shapes(path: Path, like: TrainingState) -> None:

@@ -14,7 +14,7 @@ import jax
 from cgm_jax.config.grid import structure
 from cgm_jax.host.device_errors import DeviceError, device_errors
 from cgm_jax.host.exit_codes import ExitCode
-from cgm_jax.host.runner import Job
+from cgm_jax.host.jobs import Job
 from cgm_jax.loop.compiler import Compiler, wait_for
 from cgm_jax.storage.checkpoints import position
 from cgm_jax.storage.run_directory import RunDirectory
@@ -123,7 +123,7 @@ def _measured(job: Job) -> Pace:
         compiling = time.monotonic() - began
         began, cycles = time.monotonic(), 0
         while not cycles or time.monotonic() - began < MEASURED_SECONDS:
-            state = jax.block_until_ready(programs.train(state, hyper, 1))
+            state = jax.block_until_ready(programs.train(state, hyper, job.parts.total))
             cycles += 1
         cycle, began = (time.monotonic() - began) / cycles, time.monotonic()
         jax.block_until_ready(programs.evaluate(state, hyper))

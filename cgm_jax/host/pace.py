@@ -1,28 +1,41 @@
-"""How long the device takes, and how many cycles to give it at once."""
+"""How long the device takes, and how much to give it at once."""
 
 CHUNK_SECONDS = 2.0
 """Long enough to hide the hand-over to the host, short enough for progress and signals."""
 
 
 class Pace:
-    """Learns the times of a cycle and of an evaluation, and sizes chunks to about two seconds.
+    """Learns how long training and evaluations take, and sizes chunks to about two seconds.
+
+    What is trained comes in units of some kind that take equally long: cycles, or parts of cycles.
 
     Attributes:
-        cycle: seconds of the last chunk's cycles, each; None until one is timed.
         evaluation: seconds of the last evaluation; None until one is timed.
+        since_evaluation: seconds of training since then, or since the process began.
     """
 
     def __init__(self) -> None:
-        self.cycle: float | None = None
         self.evaluation: float | None = None
+        self.since_evaluation = 0.0
+        self._units: dict[str, float] = {}
 
-    def next_chunk(self, remaining: int) -> int:
-        """Cycles for the next chunk: one until a cycle has been timed."""
-        if self.cycle is None:
+    def unit(self, kind: str) -> float | None:
+        """Seconds of each unit of the last chunk of this kind; None until one is timed."""
+        return self._units.get(kind)
+
+    def next_chunk(self, kind: str, remaining: int) -> int:
+        """Units for the next chunk: one until one has been timed."""
+        seconds = self.unit(kind)
+        if seconds is None:
             return 1
-        fitting = int(CHUNK_SECONDS / max(self.cycle, 1e-6))
+        fitting = int(CHUNK_SECONDS / max(seconds, 1e-6))
         return max(1, min(remaining, fitting))
 
-    def record(self, cycles: int, seconds: float) -> None:
+    def record(self, kind: str, units: int, seconds: float) -> None:
         """Take in how long a chunk took."""
-        self.cycle = seconds / cycles
+        self._units[kind] = seconds / units
+        self.since_evaluation += seconds
+
+    def record_evaluation(self, seconds: float) -> None:
+        """Take in how long an evaluation took."""
+        self.evaluation, self.since_evaluation = seconds, 0.0

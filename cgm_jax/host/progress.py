@@ -87,14 +87,18 @@ class SweepProgress:
         """What comes next has to be compiled first, which takes longer than a chunk."""
         self._bar.update(self._task, description="compiling", speed="")
 
-    def skip(self, cycles: int) -> None:
+    def skip(self, cycles: float) -> None:
         """So many cycles were done in an earlier process, or need not be done."""
         self._bar.update(self._task, advance=cycles)
 
-    def advance(self, cycles: int, env_steps: int, seconds: float) -> None:
-        """A chunk is done: so many cycles, and environment steps over all runs."""
-        speed = f"{env_steps / seconds:,.0f} environment steps/s"
-        self._bar.update(self._task, advance=cycles, speed=speed, description="training")
+    def advance(self, cycles: float) -> None:
+        """A chunk is done: so many cycles, or so much of one."""
+        self._bar.update(self._task, advance=cycles, description="training")
+        self._redraw()
+
+    def show_speed(self, env_steps: int, seconds: float) -> None:
+        """So many environment steps over all runs, updates included, took so long."""
+        self._bar.update(self._task, speed=f"{env_steps / seconds:,.0f} environment steps/s")
         self._redraw()
 
     def epoch(self, epoch: int, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -1,137 +1,36 @@
 """The host loop: chunks of training on the device, files and progress in between."""
 
-import itertools
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, Run, split, structure, swept_settings
-from cgm_jax.config.settings import Hyperparameters, Settings
-from cgm_jax.envs import GoalEnvironment
+from cgm_jax.config.grid import Group, swept_settings
+from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.checkpoint import TrainingProgress, check_last_checkpoint, load_checkpoint
 from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import PATIENCE_SECONDS, Interruption
-from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
+from cgm_jax.host.jobs import Job
 from cgm_jax.host.pace import CHUNK_SECONDS, Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
 from cgm_jax.host.warm_start import read_source, start_from
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.loop.compiler import Compiler, is_compiling, wait_for
-from cgm_jax.loop.devices import Device, share
-from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
+from cgm_jax.loop.cutting import WHOLE
 from cgm_jax.loop.evaluation import Metrics
-from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.state import TrainingState
-from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
+from cgm_jax.loop.training import Programs
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.config_file import start_beside
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.metrics import Row, check_rows
 from cgm_jax.storage.run_directory import RunDirectory
-
-
-@dataclass(frozen=True)
-class Job:
-    """Runs that train side by side, and the programs that train them."""
-
-    group: Group
-    programs: Programs
-
-
-def plan_jobs(
-    groups: Sequence[Group], devices: Sequence[Device], *, planned: bool = False
-) -> tuple[list[Job], list[str]]:
-    """Build what groups need, split those that do not fit into memory, and say what they take.
-
-    Parts of one group share their programs, so that equal parts compile once.
-
-    Args:
-        groups: the parts of one program next to each other.
-        devices: that share the runs of each.
-        planned: whether they are the parts of an earlier plan. Those stay, whatever the memory
-            is today: a checkpoint holds the runs of a part.
-
-    Returns:
-        Jobs in order, and one line per program.
-
-    Raises:
-        SettingError: an environment cannot be made, a run does not fit into memory, or a count
-            would overflow.
-    """
-    jobs, notes = [], []
-    environments: dict[Settings, GoalEnvironment] = {}
-    for _, same in itertools.groupby(groups, key=_program):
-        parts, made = list(same), dict[int, Programs]()
-        settings, runs = parts[0].settings, [run for part in parts for run in part.runs]
-        if settings not in environments:
-            environments[settings] = make_environment(settings)
-        trainer = make_trainer(environments[settings], settings)
-        _check_counters(trainer)
-        check_components(trainer, runs[0])
-        remarks = [*remarks_on(trainer.setup.env), *_remarks_on_discount(trainer, runs)]
-        notes += [remark for remark in remarks if remark not in notes]
-        estimate = estimate_memory(trainer, runs[0].hyper)
-        if not planned:
-            (whole,) = parts
-            fitting = runs_that_fit(estimate, len(runs), len(devices))
-            parts = split(whole, min(fitting, settings.side_by_side))
-        for part in parts:
-            count = share(len(part.runs), len(devices)).devices
-            if count not in made:
-                made[count] = make_programs(trainer, devices[:count])
-            jobs.append(Job(part, made[count]))
-        largest = max(len(part.runs) for part in parts)
-        note = f"{settings.env}: {len(runs)} runs"
-        if len(parts) > 1:
-            note += f", {largest} at a time,"
-        note += f" take {format_bytes(estimate.total(largest, len(devices)))} of memory"
-        if (sharing := share(largest, len(devices)).devices) > 1:
-            note += f" on {'each of ' if not estimate.on_cpu else ''}{sharing} devices"
-        notes.append(note + (NOT_COUNTED if compiles_physics(trainer.setup.env) else ""))
-    return jobs, notes
-
-
-def _program(group: Group) -> object:
-    """What groups of one program have in common."""
-    return structure(group.settings, group.runs[0].hyper)
-
-
-def _remarks_on_discount(trainer: Trainer, runs: Sequence[Run]) -> list[str]:
-    """What to say of runs that bootstrap from states in which they never act.
-
-    The critic knows a state's value from the actions taken in it. With one step to an episode none
-    is ever taken in the state that follows, whose value then drifts and takes the others along.
-    """
-    settings, episode_length = trainer.setup.settings, trainer.setup.env.episode_length
-    discount = max((run.values.get("discount", 0.0) for run in runs), default=0.0)
-    if episode_length > 1 or not discount:
-        return []
-    return [
-        f"{settings.env}: its episodes have one step, so that nothing follows whose value discount "
-        f"({discount:g}) could count: --discount 0 is what they need"
-    ]
-
-
-def _check_counters(trainer: Trainer) -> None:
-    """Refuse to train for longer than the int32 counters of a run can count.
-
-    Raises:
-        SettingError: it would take 2^31 environment steps or updates.
-    """
-    settings, env = trainer.setup.settings, trainer.setup.env
-    cycles = settings.epochs * settings.cycles_per_epoch
-    steps = settings.environments * env.episode_length
-    totals = {"env_steps": cycles * steps, "updates": cycles * settings.updates_per_cycle}
-    for name, count in totals.items():
-        if count >= 2**31:
-            raise SettingError(f"epochs: {count:,} {name} in all are more than can be counted")
 
 
 def run_jobs(
@@ -171,7 +70,8 @@ def run_jobs(
         _keep_lost_metrics(training, index, directory, rows)
         directory.replace_metrics(rows + training.rows)
         settings = job.group.settings
-        progress.skip(training.epoch * settings.cycles_per_epoch + training.cycle)
+        done = training.epoch * settings.cycles_per_epoch + training.cycle
+        progress.skip(done + training.part / job.parts.total)
         recorder = Recorder(
             directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
         )
@@ -263,7 +163,8 @@ def _keep_lost_metrics(
         rows: what groups before this one have written.
     """
     lines = directory.count_metrics()
-    if training.epoch or training.cycle or lines is None or (index and lines <= len(rows)):
+    begun = training.epoch or training.cycle or training.part
+    if begun or lines is None or (index and lines <= len(rows)):
         return
     note = f"no checkpoint of group {index}: it begins anew"
     if lines > len(rows):
@@ -279,16 +180,15 @@ def _train(
     interruption: Interruption,
 ) -> bool:
     """Train a job, chunk by chunk, to its end (true) or until a signal comes (false)."""
-    settings, programs = job.group.settings, job.programs
     hyper = job.group.hyper()
     began, pace = time.monotonic() - training.wall_s, Pace()
     with watchdog() as something_happened:
         while not _is_finished(job.group, training):
-            if training.cycle < settings.cycles_per_epoch:
+            if _units_ahead(job, training)[1]:
                 _train_chunk(job, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
             else:
-                metrics = _close_epoch(programs, training, hyper, pace, progress)
+                metrics = _close_epoch(job.programs, training, hyper, pace, progress)
                 training.wall_s = time.monotonic() - began
                 progress.epoch(training.epoch, recorder.record_epoch(training, metrics))
             interruption.expendable = False
@@ -313,24 +213,26 @@ def _may_outlast_patience(
 
     Where checkpoints take long it is said less often than it is so: a fifth of the time is enough.
     Of an evaluation that is the first of this process nothing is known. It is taken for as long as
-    the cycles before it, which would be lost; and for longer than patience while it compiles, if
+    the training before it, which would be lost; and for longer than patience while it compiles, if
     more than a chunk would be lost.
     """
     if recorder.unsaved_seconds() < 4 * recorder.save_seconds:
         return False
     patience = PATIENCE_SECONDS - recorder.save_seconds
-    if training.cycle < job.group.settings.cycles_per_epoch:
-        return (pace.cycle or 0.0) > patience
+    kind, remaining = _units_ahead(job, training)
+    if remaining:
+        return (pace.unit(kind) or 0.0) > patience
     if pace.evaluation is not None:
         return pace.evaluation > patience
-    at_risk = training.cycle * (pace.cycle or 0.0)
-    return at_risk > (CHUNK_SECONDS if is_compiling(job.programs.evaluate) else patience)
+    return pace.since_evaluation > (
+        CHUNK_SECONDS if is_compiling(job.programs.evaluate) else patience
+    )
 
 
 def _is_finished(group: Group, training: TrainingProgress) -> bool:
     """Whether all epochs are done, or all runs hold the success at which they may leave."""
     settings, rates = group.settings, [row["success_rate"] for row in training.rows]
-    leave_at = None if training.cycle else settings.leave_at
+    leave_at = None if training.cycle or training.part else settings.leave_at
     return have_finished(rates, len(group.runs), training.epoch, settings.epochs, leave_at)
 
 
@@ -342,17 +244,42 @@ def _train_chunk(
     progress: SweepProgress,
 ) -> None:
     settings, env = job.group.settings, job.programs.trainer.setup.env
-    cycles = pace.next_chunk(settings.cycles_per_epoch - training.cycle)
+    kind, remaining = _units_ahead(job, training)
+    units = pace.next_chunk(kind, remaining)
     with device_errors():
-        if pace.cycle is None:
-            wait_for(job.programs.train)
+        wait_for(job.programs.train)
         began = time.monotonic()
-        training.state = jax.block_until_ready(job.programs.train(training.state, hyper, cycles))
-    seconds = time.monotonic() - began
-    pace.record(cycles, seconds)
+        training.state = jax.block_until_ready(job.programs.train(training.state, hyper, units))
+    pace.record(kind, units, time.monotonic() - began)
+    cycles, training.part = divmod(training.part + units, job.parts.total)
     training.cycle += cycles
-    steps_per_cycle = settings.environments * env.episode_length
-    progress.advance(cycles, cycles * steps_per_cycle * len(job.group.runs), seconds)
+    progress.advance(units / job.parts.total)
+    if (seconds := _cycle_seconds(job, pace)) is not None:
+        steps_per_cycle = settings.environments * env.episode_length
+        progress.show_speed(steps_per_cycle * len(job.group.runs), seconds)
+
+
+def _units_ahead(job: Job, training: TrainingProgress) -> tuple[str, int]:
+    """What is trained next until something else comes: its kind for `Pace`, and how many of it.
+
+    None is left where an evaluation comes next.
+    """
+    cycles = job.group.settings.cycles_per_epoch - training.cycle
+    if job.parts == WHOLE or not cycles:
+        return "cycle", cycles
+    if training.part < job.parts.rollout:
+        return "rollout", job.parts.rollout - training.part
+    return "updates", job.parts.total - training.part
+
+
+def _cycle_seconds(job: Job, pace: Pace) -> float | None:
+    """How long a cycle takes at this pace, if that is known yet."""
+    if job.parts == WHOLE:
+        return pace.unit("cycle")
+    step, block = pace.unit("rollout"), pace.unit("updates")
+    if step is None or block is None:
+        return None
+    return job.parts.rollout * step + job.parts.updates * block
 
 
 def _close_epoch(
@@ -368,6 +295,6 @@ def _close_epoch(
             wait_for(programs.evaluate)
         began = time.monotonic()
         training.state, metrics = jax.block_until_ready(programs.evaluate(training.state, hyper))
-    pace.evaluation = time.monotonic() - began
+    pace.record_evaluation(time.monotonic() - began)
     training.epoch, training.cycle = training.epoch + 1, 0
     return metrics

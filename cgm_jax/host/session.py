@@ -36,8 +36,8 @@ from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
-if TYPE_CHECKING:  # runner imports JAX
-    from cgm_jax.host.runner import Job
+if TYPE_CHECKING:  # jobs imports JAX
+    from cgm_jax.host.jobs import Job
     from cgm_jax.loop.compiler import Compiler
 
 
@@ -114,7 +114,7 @@ def plan(
     planned: bool = False,
     on_this_machine: bool = True,
 ) -> "tuple[list[Job], list[str]]":
-    """Start JAX, and build what groups need; see `runner.plan_jobs`.
+    """Start JAX, and build what groups need; see `jobs.plan_jobs`.
 
     Args:
         groups: of runs.
@@ -128,7 +128,7 @@ def plan(
     prepare_jax(cpu_devices(devices, groups))
     import jax
 
-    from cgm_jax.host.runner import plan_jobs
+    from cgm_jax.host.jobs import plan_jobs
 
     if on_this_machine:
         check_devices(devices)

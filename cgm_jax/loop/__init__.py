@@ -3,6 +3,7 @@
 training.py     `make_trainer`, and the compiled programs: start here; compiler.py compiles them
 cycle.py        choose goals, roll out, store, learn
 rollout.py      episodes of many environments in one scan; exploration.py action noise
+parts.py        cycles so long that they are taken in parts; cutting.py which, and where
 learning.py     minibatches and updates; divergence.py freezes a run that diverges
 evaluation.py   the end of an epoch: noise-free episodes, and the epoch's metrics
 

@@ -1,5 +1,7 @@
 """A cycle: choose goals, roll out, store, learn."""
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -17,8 +19,44 @@ from cgm_jax.replay.future import moved_goal
 from cgm_jax.replay.ring import insert, size
 
 
+class Plan(NamedTuple):
+    """What a cycle is about to do.
+
+    Attributes:
+        key: source of all randomness after the cycle.
+        first: states in which its episodes begin, leading axis [E].
+        goals: what they are to achieve.
+        exploration: noise for every step, leading axes [T, E].
+        visit_key: see `roll_out`; None where the curriculum does not want to know.
+        draw_key, agent_key: see `learn`.
+    """
+
+    key: jax.Array
+    first: Any
+    goals: Goals
+    exploration: Exploration
+    visit_key: jax.Array | None
+    draw_key: jax.Array
+    agent_key: jax.Array
+
+
 def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
     """Choose goals, roll out, store, and update the networks."""
+    planned = plan(setup, state, hyper)
+    rollout = roll_out(
+        setup.env,
+        training_policy(setup, state, hyper, planned.goals),
+        planned.first,
+        planned.goals,
+        planned.exploration,
+        visit_key=planned.visit_key,
+    )
+    state = store(setup, state, hyper, rollout).replace(key=planned.key)
+    return learn(setup, state, hyper, planned.draw_key, planned.agent_key)
+
+
+def plan(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Plan:
+    """Choose where the episodes of a cycle begin, their goals and their noise."""
     env, settings = setup.env, setup.settings
     keys = jax.random.split(state.key, 8)
     key, goal_key, reset_key, noise_key, draw_key, agent_key, visit_key, act_key = keys
@@ -37,18 +75,18 @@ def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Trainin
     exploration = draw_exploration(noise_key, shape, hyper).replace(uniform=uniform)
     if hyper.agent.explores:
         exploration = exploration.replace(key=jax.random.split(act_key, env.episode_length))
-    rollout = roll_out(
-        env,
-        training_policy(setup, state, hyper, goals),
-        first,
-        goals,
-        exploration,
-        visit_key=visit_key if curriculum.wants_visited else None,
-    )
-    state = state.replace(
-        key=key,
+    visit_key = visit_key if curriculum.wants_visited else None
+    return Plan(key, first, goals, exploration, visit_key, draw_key, agent_key)
+
+
+def store(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters, rollout: Rollout
+) -> TrainingState:
+    """Take in the episodes of a cycle: replay, curriculum, normaliser and statistics."""
+    env, settings = setup.env, setup.settings
+    return state.replace(
         replay=insert(state.replay, rollout.episodes, rollout.outcomes.valid),
-        curriculum=curriculum.after_training(state.curriculum, rollout.outcomes),
+        curriculum=hyper.curriculum.after_training(state.curriculum, rollout.outcomes),
         normaliser=observe(
             state.normaliser,
             rollout.episodes,
@@ -59,7 +97,6 @@ def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Trainin
         statistics=_count(state.statistics, rollout, env.distance_threshold),
         env_steps=state.env_steps + settings.environments * env.episode_length,
     )
-    return learn(setup, state, hyper, draw_key, agent_key)
 
 
 def training_policy(

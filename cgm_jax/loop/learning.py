@@ -11,18 +11,18 @@ from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.divergence import freeze_if_failed
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.judging import reward_range, rewards
-from cgm_jax.loop.setup import Setup
+from cgm_jax.loop.setup import Setup, sizes
 from cgm_jax.loop.state import TrainingState
 
 
 def minibatches(
     setup: Setup, state: TrainingState, hyper: Hyperparameters, key: jax.Array
 ) -> Minibatch:
-    """All minibatches of a cycle [updates, batch_size, ...].
+    """All minibatches of a cycle, or of a part of it, [updates, batch_size, ...].
 
     Replay and normaliser stay put during the updates, so that one draw serves them all.
     """
-    updates, batch_size = setup.settings.updates_per_cycle, setup.settings.batch_size
+    updates, batch_size = sizes(setup, hyper).updates_at_once, setup.settings.batch_size
     drawn = hyper.relabelling.sample(
         key, state.replay, updates * batch_size, setup.env.distance_threshold, setup.stages
     )
@@ -50,7 +50,7 @@ def learn(
     draw_key: jax.Array,
     agent_key: jax.Array,
 ) -> TrainingState:
-    """The updates of a cycle; an agent that diverges stays as it was before them."""
+    """Updates of a cycle, or of a part of it; an agent that diverges stays as it was before."""
     batches = minibatches(setup, state, hyper, draw_key)
     agent, info = _vmap_for_platform(setup.platform, _train)(
         hyper.agent, state.agent, batches, agent_key
@@ -61,7 +61,7 @@ def learn(
     return state.replace(
         agent=agent,
         failure=failure,
-        updates=state.updates + (failure == 0) * setup.settings.updates_per_cycle,
+        updates=state.updates + (failure == 0) * sizes(setup, hyper).updates_at_once,
         statistics=state.statistics.replace(
             losses=losses, updates=state.statistics.updates + logged
         ),

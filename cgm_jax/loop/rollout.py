@@ -1,4 +1,4 @@
-"""Episodes of many environments at once, in one scan."""
+"""Episodes of many environments at once: in one scan, or step by step where they are cut."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,6 +22,10 @@ Policy = Callable[[jax.Array, jax.Array, Exploration | None], jax.Array]
 """From observations [E, o], masked goals [E, n] and this step's noise to actions [E, a]."""
 
 
+_Carry = tuple[State, Any, Any]
+"""Of a step: states, what of them is visited, and the step of each episode after which, or None."""
+
+
 class Rollout(struct.PyTreeNode):
     """Episodes and what became of them.
 
@@ -34,6 +38,26 @@ class Rollout(struct.PyTreeNode):
     episodes: Episodes
     outcomes: Outcomes
     record: Any = None
+
+
+class PartialRollout(struct.PyTreeNode):
+    """Episodes that are not over yet, of E environments.
+
+    Attributes:
+        state: of the environments after the last step.
+        visited: what becomes of `Outcomes.visited`, or None.
+        visits: the step after which that is taken, [E], or None.
+        goals: what the episodes are to achieve.
+        exploration: noise for every step, leading axes [T, E], or None.
+        rows: what each step has left, leading axes [T, E]; zeros for steps to come.
+    """
+
+    state: State
+    visited: Any
+    visits: jax.Array | None
+    goals: Goals
+    exploration: Exploration | None
+    rows: Any
 
 
 def reset(env: GoalEnvironment, key: jax.Array, count: int) -> State:
@@ -75,14 +99,80 @@ def roll_out(
         visit_key: draws the step of each episode whose state is kept in `Outcomes.visited`; None
             to keep none.
     """
+    carry = _start(env, first, goals, visit_key)
+    steps = (exploration, jnp.arange(env.episode_length))
+    carry, rows = jax.lax.scan(_step_of(env, policy, goals, keep), carry, steps)
+    return _finished(env, goals, carry, rows, keep)
+
+
+def begin_rollout(
+    env: GoalEnvironment,
+    policy: Policy,
+    first: State,
+    goals: Goals,
+    exploration: Exploration | None = None,
+    *,
+    visit_key: jax.Array | None = None,
+) -> PartialRollout:
+    """Episodes before their first step; `step_rollout` and `finish_rollout` do the rest.
+
+    Args:
+        env: the environment.
+        policy: of which only the shape of actions is needed here.
+        first: states in which the episodes begin, leading axis [E].
+        goals: what they are to achieve; `goals.start` is not read.
+        exploration: noise for every step, leading axes [T, E].
+        visit_key: as for `roll_out`.
+    """
+    carry = _start(env, first, goals, visit_key)
+    step, now = _step_of(env, policy, goals, _nothing), _at(exploration, jnp.asarray(0))
+    _, row = jax.eval_shape(step, carry, (now, jnp.asarray(0)))
+    rows = jax.tree.map(lambda x: jnp.zeros((env.episode_length, *x.shape), x.dtype), row)
+    return PartialRollout(*carry, goals=goals, exploration=exploration, rows=rows)
+
+
+def step_rollout(
+    env: GoalEnvironment, policy: Policy, partial: PartialRollout, index: int | jax.Array
+) -> PartialRollout:
+    """Take step `index` of episodes whose steps before it are done."""
+    step = _step_of(env, policy, partial.goals, _nothing)
+    now = (_at(partial.exploration, index), jnp.asarray(index))
+    carry, row = step((partial.state, partial.visited, partial.visits), now)
+    state, visited, visits = carry
+    rows = jax.tree.map(lambda rows, x: rows.at[index].set(x), partial.rows, row)
+    return partial.replace(state=state, visited=visited, visits=visits, rows=rows)
+
+
+def finish_rollout(env: GoalEnvironment, partial: PartialRollout) -> Rollout:
+    """What became of episodes whose steps are all done."""
+    carry = (partial.state, partial.visited, partial.visits)
+    return _finished(env, partial.goals, carry, partial.rows, _nothing)
+
+
+def _nothing(_: State) -> None:
+    """What is kept of states whose record nobody wants."""
+
+
+def _at(exploration: Exploration | None, index: int | jax.Array) -> Exploration | None:
+    return jax.tree.map(lambda noise: noise[index], exploration)
+
+
+def _start(env: GoalEnvironment, first: State, goals: Goals, visit_key: jax.Array | None) -> _Carry:
+    if visit_key is None:
+        return first, None, None
+    count = goals.mask.shape[0]
+    return first, first, jax.random.randint(visit_key, (count,), 0, env.episode_length)
+
+
+def _step_of(
+    env: GoalEnvironment, policy: Policy, goals: Goals, keep: Callable[[State], Any]
+) -> Callable[[_Carry, tuple[Exploration | None, jax.Array]], tuple[_Carry, tuple[Any, ...]]]:
+    """A step of all environments: from what is carried, and the noise and number of the step."""
     count = goals.mask.shape[0]
     ends = jax.vmap(env.is_terminal) if may_end(env) else None  # pyright: ignore
-    visits = None
-    if visit_key is not None:
-        visits = jax.random.randint(visit_key, (count,), 0, env.episode_length)
 
-    def step(carry: tuple[State, Any], now: tuple[Any, jax.Array]) -> tuple[Any, tuple[Any, ...]]:
-        (state, visited), (noise, index) = carry, now
+    def step(carry: _Carry, now: tuple[Any, jax.Array]) -> tuple[_Carry, tuple[Any, ...]]:
+        (state, visited, visits), (noise, index) = carry, now
         observation, achieved = state.obs["observation"], state.obs["achieved_goal"]
         action = policy(observation, apply_mask(goals.desired, goals.mask, achieved), noise)
         next_state = jax.vmap(env.step)(state, action)
@@ -92,11 +182,17 @@ def roll_out(
         warnings = next_state.metrics.get("physics_warnings", jnp.zeros(count))
         if visits is not None:
             visited = choose(visits == index, next_state, visited)
-        return (next_state, visited), (observation, achieved, action, warnings, ended, keep(state))
+        left = (observation, achieved, action, warnings, ended, keep(state))
+        return (next_state, visited, visits), left
 
-    steps = (exploration, jnp.arange(env.episode_length))
-    begin = (first, None if visits is None else first)
-    (last, visited), rows = jax.lax.scan(step, begin, steps)
+    return step
+
+
+def _finished(
+    env: GoalEnvironment, goals: Goals, carry: _Carry, rows: Any, keep: Callable[[State], Any]
+) -> Rollout:
+    """Episodes from what each step has left, [T, E, ...], and the states after the last one."""
+    last, visited, _ = carry
     observation, achieved, action, warnings, ended, kept = rows
     observation = jnp.concatenate([observation, last.obs["observation"][None]])
     achieved = jnp.concatenate([achieved, last.obs["achieved_goal"][None]])
@@ -107,7 +203,7 @@ def roll_out(
         desired_goal=goals.desired,
         mask=goals.mask,
         threshold=goals.threshold,
-        length=None if ends is None else _length(ended, ends(last)),
+        length=None if ended is None else _length(ended, jax.vmap(env.is_terminal)(last)),  # pyright: ignore
     )
     rollout = _judge(env, episodes, goals, warnings.sum(axis=0))
     record = jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), kept, keep(last))

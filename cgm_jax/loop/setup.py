@@ -10,6 +10,7 @@ from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment, Stage
+from cgm_jax.loop.cutting import is_cut, updates_at_once
 from cgm_jax.loop.judging import has_own_rules, may_end
 from cgm_jax.loop.normaliser import init_normaliser
 from cgm_jax.loop.state import TrainingState, init_statistics
@@ -24,12 +25,14 @@ class Setup(NamedTuple):
         settings: `settings.env` and `settings.engine` are not read.
         like: shapes of a state of the environment.
         platform: what the programs are for, as JAX names it: "cpu", "gpu", "tpu".
+        is_cut: whether cycles are cut into parts.
     """
 
     env: GoalEnvironment
     settings: Settings
     like: Any
     platform: str
+    is_cut: bool
 
     @property
     def goal_size(self) -> int:
@@ -56,7 +59,8 @@ def make_setup(env: GoalEnvironment, settings: Settings, platform: str | None = 
         platform: what the programs are for; None for the one that JAX computes on.
     """
     like = jax.eval_shape(env.reset, jax.random.key(0))
-    return Setup(env, settings, like, platform or jax.default_backend())
+    platform = platform or jax.default_backend()
+    return Setup(env, settings, like, platform, is_cut(env, settings, platform))
 
 
 def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
@@ -65,7 +69,7 @@ def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
     observation, goal = setup.like.obs["observation"].shape[-1], setup.goal_size
     shown = goal * settings.mask_input + hyper.curriculum.shows_threshold
     shown += hyper.relabelling.shows(setup.stages)
-    return Sizes(
+    whole = Sizes(
         observation=observation,
         goal=goal,
         action=env.action_size,
@@ -74,10 +78,18 @@ def sizes(setup: Setup, hyper: Hyperparameters) -> Sizes:
         distance_threshold=env.distance_threshold,
         environments=settings.environments,
         evaluation_episodes=settings.evaluation_episodes,
-        updates_per_cycle=settings.updates_per_cycle,
+        updates_at_once=settings.updates_per_cycle,
         critics=hyper.agent.critics,
         starts=setup.like if hasattr(env, "restart") else None,
     )
+    if not setup.is_cut:
+        return whole
+
+    def check(count: int) -> None:
+        fewer = whole._replace(updates_at_once=count)
+        jax.eval_shape(lambda: hyper.agent.init(jax.random.key(0), fewer))
+
+    return whole._replace(updates_at_once=updates_at_once(settings, check))
 
 
 def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:

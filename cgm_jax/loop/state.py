@@ -43,6 +43,7 @@ class TrainingState(struct.PyTreeNode):
         env_steps: training steps over all environments so far, int32.
         updates: minibatches that the agent has learned from, int32; stands still once it failed.
         failure: 0, or what has diverged, see `divergence.failure_of`; then the agent is frozen.
+        unfinished: of a cycle that is cut, see `parts.py`; None where cycles are whole.
     """
 
     key: jax.Array
@@ -54,6 +55,7 @@ class TrainingState(struct.PyTreeNode):
     env_steps: jax.Array
     updates: jax.Array
     failure: jax.Array
+    unfinished: Any = None
 
 
 def init_statistics(masks: int, logged: tuple[str, ...]) -> EpochStatistics:

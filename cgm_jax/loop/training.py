@@ -16,7 +16,7 @@ import jax
 
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
-from cgm_jax.loop.cycle import cycle
+from cgm_jax.loop.cutting import Parts
 from cgm_jax.loop.devices import (
     ON_EACH,
     SPREAD,
@@ -29,7 +29,8 @@ from cgm_jax.loop.devices import (
 )
 from cgm_jax.loop.evaluation import Metrics, evaluate
 from cgm_jax.loop.in_turn import in_place, in_turn
-from cgm_jax.loop.setup import Setup, init_state, make_setup
+from cgm_jax.loop.parts import init_run, parts_of_cycle, train_part
+from cgm_jax.loop.setup import Setup, make_setup
 from cgm_jax.loop.state import TrainingState
 
 
@@ -39,13 +40,15 @@ class Trainer(NamedTuple):
     Attributes:
         setup: the environment and the static settings.
         init: from hyperparameters to the state before any training.
-        train: so many cycles.
+        parts: how the cycles of a run are cut, see `cutting.py`.
+        train: so many cycles, or parts of them where they are cut.
         evaluate: close an epoch: noise-free episodes, and its metrics.
         epoch: `cycles_per_epoch` cycles, then `evaluate`.
     """
 
     setup: Setup
     init: Callable[[Hyperparameters], TrainingState]
+    parts: Callable[[Hyperparameters], Parts]
     train: Callable[[TrainingState, Hyperparameters, int | jax.Array], TrainingState]
     evaluate: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
     epoch: Callable[[TrainingState, Hyperparameters], tuple[TrainingState, Metrics]]
@@ -63,28 +66,30 @@ def make_trainer(env: GoalEnvironment, settings: Settings, platform: str | None 
     setup = make_setup(env, settings, platform)
     return Trainer(
         setup=setup,
-        init=partial(init_state, setup),
-        train=partial(train_cycles, setup),
+        init=partial(init_run, setup),
+        parts=partial(parts_of_cycle, setup),
+        train=partial(train, setup),
         evaluate=partial(evaluate, setup),
         epoch=partial(epoch, setup),
     )
 
 
-def train_cycles(
+def train(
     setup: Setup, state: TrainingState, hyper: Hyperparameters, count: int | jax.Array
 ) -> TrainingState:
-    """Any number of cycles: one scan whose length may be traced.
+    """Any number of cycles, or of their parts: one loop whose length may be traced.
 
     So one program serves chunks of all lengths, and chunks give the bits of one whole.
     """
-    return jax.lax.fori_loop(0, count, lambda _, state: cycle(setup, state, hyper), state)
+    return jax.lax.fori_loop(0, count, lambda _, state: train_part(setup, state, hyper), state)
 
 
 def epoch(
     setup: Setup, state: TrainingState, hyper: Hyperparameters
 ) -> tuple[TrainingState, Metrics]:
     """One epoch: `cycles_per_epoch` cycles, then an evaluation."""
-    state = train_cycles(setup, state, hyper, setup.settings.cycles_per_epoch)
+    parts = parts_of_cycle(setup, hyper)
+    state = train(setup, state, hyper, setup.settings.cycles_per_epoch * parts.total)
     return evaluate(setup, state, hyper)
 
 
@@ -99,8 +104,8 @@ class Programs(NamedTuple):
         spread: states from a file to what the others take: on the devices, with rows left over.
         shapes: hyperparameters to mere shapes of the states that `start` makes.
         start: hyperparameters to states, [rows, ...]: the runs first, then rows left over.
-        train: states, hyperparameters and a number of cycles to states. Takes the states over:
-            their buffers are reused.
+        train: states, hyperparameters and a number of cycles to states, or of parts where cycles
+            are cut. Takes the states over: their buffers are reused.
         evaluate: states and hyperparameters to states and metrics; takes the states over.
     """
 
@@ -125,9 +130,9 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
         own, count = own_rows(team, hyper)
         return _over_rows(on_cpu, trainer.init, count)(own)
 
-    def train(states: TrainingState, hyper: Hyperparameters, cycles: jax.Array) -> TrainingState:
+    def train(states: TrainingState, hyper: Hyperparameters, parts: jax.Array) -> TrainingState:
         own, count = own_rows(team, hyper)
-        one = partial(_train_for, trainer, cycles)
+        one = partial(_train_for, trainer, parts)
         return in_place(one, count)(states, own) if on_cpu else jax.vmap(one)(states, own)
 
     def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
@@ -152,9 +157,9 @@ def _over_rows(on_cpu: bool, function: Callable[..., Any], count: jax.Array) -> 
 
 
 def _train_for(
-    trainer: Trainer, cycles: jax.Array, state: TrainingState, hyper: Hyperparameters
+    trainer: Trainer, parts: jax.Array, state: TrainingState, hyper: Hyperparameters
 ) -> TrainingState:
-    return trainer.train(state, hyper, cycles)
+    return trainer.train(state, hyper, parts)
 
 
 def _evaluate_without_replay(

@@ -43,7 +43,7 @@ def measure_updates(repeats: int) -> list[Figure]:
         distance_threshold=0.05,
         environments=16,
         evaluation_episodes=20,
-        updates_per_cycle=count,
+        updates_at_once=count,
         critics=1,
         starts=None,
     )

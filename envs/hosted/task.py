@@ -51,7 +51,10 @@ class HostedTask:
     Attributes:
         action_size, episode_length, distance_threshold: see there.
         remarks: lines about what is allowed but hardly meant.
+        states_are_whole: whether an episode can go on from a state in a new process.
     """
+
+    states_are_whole = False
 
     def __init__(self, process: HostedProcess) -> None:
         """The task whose rows live in `process`."""

@@ -90,7 +90,8 @@ def memory(case: str, rehearse: bool) -> Figures:
     trainer = make_trainer(make_environment(group.settings), group.settings)
     programs, hyper = make_programs(trainer), group.hyper()
     estimate = estimate_memory(trainer, group.runs[0].hyper).total(1)
-    state = programs.train(programs.start(hyper), hyper, 1)
+    whole_cycle = trainer.parts(group.runs[0].hyper).total
+    state = programs.train(programs.start(hyper), hyper, whole_cycle)
     jax.block_until_ready(programs.evaluate(state, hyper))
     taken = _peak_bytes()
     return [

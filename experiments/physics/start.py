@@ -104,7 +104,8 @@ def _phases(engine: str, since: float) -> dict[str, Any]:
         states = programs.start(hyper)
         wait_for(programs.train)
         marks.append(time.time())
-        jax.block_until_ready(programs.train(states, hyper, 1))
+        whole_cycle = programs.trainer.parts(group.runs[0].hyper).total
+        jax.block_until_ready(programs.train(states, hyper, whole_cycle))
         marks.append(time.time())
     names = ("libraries_s", "tracing_s", "compiling_s", "first_cycle_s")
     spans = itertools.pairwise(marks)

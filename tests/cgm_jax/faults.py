@@ -26,7 +26,7 @@ from pathlib import Path
 from unittest import mock
 
 from cgm_jax import sweep
-from cgm_jax.host import runner
+from cgm_jax.host import jobs
 from cgm_jax.results import figures
 from cgm_jax.storage.checkpoints import damage, finished_checkpoints, manifest_path
 from tests.cgm_jax.shared_programs import shared_programs
@@ -71,7 +71,7 @@ def compiled_once() -> Iterator[None]:
     """Let sweeps on the point mass in this process share their programs, and draw no figures."""
     with (
         shared_programs(),
-        mock.patch.object(runner, "make_environment", return_value=PointMass()),
+        mock.patch.object(jobs, "make_environment", return_value=PointMass()),
         mock.patch.object(figures, "draw_figures"),
     ):
         yield

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
-from cgm_jax.host import runner
+from cgm_jax.host import jobs
 from cgm_jax.loop.compiler import Compiler
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 
@@ -25,8 +25,8 @@ class SharedPrograms:
         """Have sweeps in the block take them."""
         mine = contextlib.nullcontext(self.compiler)
         with (
-            mock.patch.object(runner, "make_trainer", self._trainer),
-            mock.patch.object(runner, "make_programs", self._made),
+            mock.patch.object(jobs, "make_trainer", self._trainer),
+            mock.patch.object(jobs, "make_programs", self._made),
             mock.patch("cgm_jax.loop.compiler.Compiler", return_value=mine),
         ):
             yield

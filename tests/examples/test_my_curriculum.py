@@ -12,7 +12,7 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host import recorder, runner, session
+from cgm_jax.host import jobs, recorder, session
 from cgm_jax.results import figures
 from tests.cgm_jax.shared_programs import shared_programs
 from tests.cgm_jax.sweeps import POINT_MASS
@@ -54,7 +54,7 @@ def test_it_trains_stops_and_resumes_by_the_command_line(
     patient = functools.partial(session.Interruption, patience=300.0)
     monkeypatch.setattr(session, "Interruption", patient)
     monkeypatch.setattr(figures, "draw_figures", lambda _: None)
-    monkeypatch.setattr(runner, "make_environment", functools.cache(runner.make_environment))
+    monkeypatch.setattr(jobs, "make_environment", functools.cache(jobs.make_environment))
     record = recorder.Recorder.record_epoch
 
     def stop(self: Any, training: Any, metrics: Any) -> Any:

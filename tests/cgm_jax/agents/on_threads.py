@@ -35,7 +35,7 @@ def digest(agent: str, width: int, batch_size: int) -> str:
     """Of an agent's state after two updates from random minibatches."""
     learner = component("agent", agent)(hidden_layers=(width, width))
     keys = jax.random.split(jax.random.key(0), 6)
-    rows = (SIZES.updates_per_cycle, batch_size)
+    rows = (SIZES.updates_at_once, batch_size)
     batches = Minibatch(
         inputs=jax.random.normal(keys[0], (*rows, SIZES.inputs)),
         action=jax.random.uniform(keys[1], (*rows, SIZES.action), minval=-1.0),

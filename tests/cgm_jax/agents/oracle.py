@@ -21,7 +21,7 @@ SIZES = Sizes(
     distance_threshold=0.1,
     environments=1,
     evaluation_episodes=1,
-    updates_per_cycle=12,
+    updates_at_once=12,
     critics=1,
     starts=None,
 )

@@ -90,7 +90,7 @@ SIZES = Sizes(
     distance_threshold=0.05,
     environments=4,
     evaluation_episodes=1,
-    updates_per_cycle=1,
+    updates_at_once=1,
     critics=3,
     starts=None,
 )

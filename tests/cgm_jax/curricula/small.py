@@ -34,7 +34,7 @@ def sizes(goal: int, distance_threshold: float = 0.1) -> Sizes:
         distance_threshold=distance_threshold,
         environments=64,
         evaluation_episodes=10,
-        updates_per_cycle=4,
+        updates_at_once=4,
         critics=1,
         starts=None,
     )

@@ -7,7 +7,7 @@ from unittest import mock
 
 import pytest
 
-from cgm_jax.host import runner, session
+from cgm_jax.host import jobs, session
 from cgm_jax.results import figures
 from tests.cgm_jax.host.in_process import train
 from tests.cgm_jax.shared_programs import SharedPrograms
@@ -25,7 +25,7 @@ def shared_programs() -> Iterator[SharedPrograms]:
 def in_process(shared_programs: SharedPrograms, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Sweeps of a test share programs, draw no figures, and never end pytest itself."""
     monkeypatch.setattr(figures, "draw_figures", lambda _: None)
-    monkeypatch.setattr(runner, "make_environment", lambda _: PointMass())
+    monkeypatch.setattr(jobs, "make_environment", lambda _: PointMass())
     # The default would end pytest, were the machine slow.
     patient = functools.partial(session.Interruption, patience=300.0)
     monkeypatch.setattr(session, "Interruption", patient)
@@ -39,7 +39,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory, shared_programs: SharedProgr
     out = tmp_path_factory.mktemp("whole") / "out"
     with (
         mock.patch.object(figures, "draw_figures"),
-        mock.patch.object(runner, "make_environment", return_value=PointMass()),
+        mock.patch.object(jobs, "make_environment", return_value=PointMass()),
         shared_programs.used(),
     ):
         assert train(out) == 0

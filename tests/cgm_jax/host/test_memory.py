@@ -11,7 +11,8 @@ import pytest
 from cgm_jax import envs
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups, run_of
-from cgm_jax.host import memory, runner
+from cgm_jax.host import jobs as planning
+from cgm_jax.host import memory
 from cgm_jax.host.memory import (
     NOT_COUNTED,
     MemoryEstimate,
@@ -164,19 +165,19 @@ def test_settings_of_absurd_size_are_refused_by_name_before_anything_compiles(
     monkeypatch.setattr(memory, "free_bytes", lambda: 2 * 2**30)
     groups = build_groups("smoke", {name: [int(value)], "engine": ["native"]})
     with pytest.raises(SettingError, match=f"^{name}: "):
-        runner.plan_jobs(groups, jax.devices())
+        planning.plan_jobs(groups, jax.devices())
 
 
 def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     (group,) = build_groups("smoke", {"seed": list(range(5)), "kappa": [4.0], "engine": ["native"]})
-    monkeypatch.setattr(runner, "runs_that_fit", lambda *_: 2)
-    jobs, (note,) = runner.plan_jobs([group], jax.devices())
+    monkeypatch.setattr(planning, "runs_that_fit", lambda *_: 2)
+    jobs, (note,) = planning.plan_jobs([group], jax.devices()[:1])
     assert [len(job.group.runs) for job in jobs] == [2, 2, 1]
     assert note.startswith("reach: 5 runs, 2 at a time, take ")
     assert len({id(job.programs) for job in jobs}) == 1
     # A plan that a directory has recorded stays, whatever the memory is today.
-    monkeypatch.setattr(runner, "runs_that_fit", lambda *_: 5)
-    again, _ = runner.plan_jobs([job.group for job in jobs], jax.devices(), planned=True)
+    monkeypatch.setattr(planning, "runs_that_fit", lambda *_: 5)
+    again, _ = planning.plan_jobs([job.group for job in jobs], jax.devices()[:1], planned=True)
     assert [job.group for job in again] == [job.group for job in jobs]
     assert len({id(job.programs) for job in again}) == 1
 
@@ -188,7 +189,7 @@ def test_physics_that_xla_compiles_are_said_not_to_be_counted(
     monkeypatch.setattr(own_checks, "FEW_OPERATIONS", few)
     name = f"{ROOT}/tests/examples/point_mass.py:PointMass"
     groups = build_groups("smoke", {"env": [name], "kappa": [4.0]})
-    (_, (note,)) = runner.plan_jobs(groups, jax.devices())
+    (_, (note,)) = planning.plan_jobs(groups, jax.devices())
     assert note.endswith("of memory" + (NOT_COUNTED if large else ""))
     assert NOT_COUNTED.endswith("is not counted")
 

@@ -45,7 +45,7 @@ def test_runs_stay_listed_only_where_no_summary_lists_them_again(
     done: int, listed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with terminal(monkeypatch) as written, SweepProgress(10) as progress:
-        progress.advance(done, env_steps=100, seconds=1.0)
+        progress.advance(done)
         progress.epoch(1, [{"run": name, "success_rate": 0.5} for name in NAMES])
     last = written.decode().rpartition("\x1b[2K")[2]  # after all that was erased
     assert f"{10 * done} %" in last
@@ -69,7 +69,7 @@ def test_the_bar_says_compiling_before_anything_is_known_and_whenever_it_compile
     with terminal(monkeypatch) as written, SweepProgress() as progress:
         since = say(written, 0)  # while JAX starts, and the environment is made
         progress.expect(10)
-        progress.advance(5, env_steps=100, seconds=1.0)
+        progress.advance(5)
         since = say(written, since)
         progress.compiling()  # the next program
         say(written, since)

@@ -17,7 +17,7 @@ from tests.cgm_jax.results.figures.made import legend, panels, titles
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZES = Sizes(
     **dict.fromkeys(("observation", "inputs", "episode_length", "environments"), 4),
-    **dict.fromkeys(("evaluation_episodes", "updates_per_cycle", "critics"), 1),
+    **dict.fromkeys(("evaluation_episodes", "updates_at_once", "critics"), 1),
     goal=2,
     action=2,
     distance_threshold=0.1,

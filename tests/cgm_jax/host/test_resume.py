@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from cgm_jax.storage.checkpoints import finished_checkpoints
 from tests.cgm_jax.sweeps import (
     POINT_MASS,
     ROOT,
@@ -35,6 +36,20 @@ def test_a_stopped_sweep_gives_the_bits_of_one_that_was_not(tmp_path: Path) -> N
     assert (cut / "figures" / "learning_curves.png").is_file()
     finish(command(*grid, *NEVER, "--out", str(cut)))
     assert len(rows(cut)) == 8
+    assert_same_results(whole, cut)
+
+
+@pytest.mark.slow
+def test_a_signal_in_the_middle_of_a_long_cycle_loses_nothing_of_it(tmp_path: Path) -> None:
+    grid = ["--env", "reach", "--engine", "native", "--environments", "1024", "--seeds", "1"]
+    grid += ["--kappa", "4", "--epochs", "3", "--cycles-per-epoch", "1"]
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    finish(command(*grid, *NEVER, "--out", str(whole)))
+    code, text = stop(command(*grid, *NEVER, "--out", str(cut)), after="epoch 1:")
+    assert code == 75, text
+    last = finished_checkpoints(cut / "checkpoints", 0)[-1]
+    assert last.stem.startswith("group0_epoch000001_cycle000000_part")
+    finish(command(*grid, *NEVER, "--out", str(cut)))
     assert_same_results(whole, cut)
 
 

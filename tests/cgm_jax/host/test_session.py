@@ -32,7 +32,7 @@ from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, run_of
 from cgm_jax.config.settings import Settings
-from cgm_jax.host import recorder, runner, session
+from cgm_jax.host import jobs, recorder, runner, session
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.host.pace import Pace
 from cgm_jax.loop.compiler import Compiling
@@ -93,13 +93,15 @@ def outlasts_patience(
 ) -> bool:
     """What the runner holds of what comes after so many of an epoch's two cycles."""
     programs: Any = SimpleNamespace(evaluate=evaluate)
-    job = runner.Job(Group(Settings(cycles_per_epoch=2), ()), programs)
-    training: Any = SimpleNamespace(cycle=cycle)
+    job = jobs.Job(Group(Settings(cycles_per_epoch=2), ()), programs)
+    training: Any = SimpleNamespace(cycle=cycle, part=0)
     recorder: Any = SimpleNamespace(
         save_seconds=save_seconds, unsaved_seconds=lambda: unsaved_seconds
     )
     pace = Pace()
-    pace.cycle, pace.evaluation = cycle_seconds, evaluation_seconds
+    if evaluation_seconds is not None:
+        pace.record_evaluation(evaluation_seconds)
+    pace.record("cycle", cycle, cycle * cycle_seconds)
     return runner._may_outlast_patience(job, training, recorder, pace)
 
 
@@ -157,7 +159,7 @@ def test_what_a_signal_cannot_wait_for_begins_with_nothing_to_lose(
         stem = f"group0_epoch{training.epoch:06d}_cycle{training.cycle:06d}"
         begun.append((listening[0].expendable, [path.stem for path in saved] == [stem]))
 
-    def chunk(job: runner.Job, training: TrainingProgress, *rest: Any) -> None:
+    def chunk(job: jobs.Job, training: TrainingProgress, *rest: Any) -> None:
         note(training)
         train_chunk(job, training, *rest)
 
@@ -309,7 +311,7 @@ def test_a_mujoco_error_in_the_callback_ends_with_its_message_and_can_go_on(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "out"
-    monkeypatch.setattr(runner, "make_environment", lambda _: Breaking())
+    monkeypatch.setattr(jobs, "make_environment", lambda _: Breaking())
     with monkeypatch.context() as patch:
         at_epoch(patch, 2, lambda: patch.setitem(globals(), "broken", True))
         assert train(out, *ALWAYS) == 1
