@@ -69,7 +69,8 @@ class Agent(Protocol[State]):
         """Fresh networks.
 
         Raises:
-            SettingError: settings that do not go with the loop's, such as a number of updates.
+            SettingError: settings that do not go with the loop's, such as a number of updates at
+                once that `train` does not take.
         """
         ...
 
@@ -95,7 +96,7 @@ class Agent(Protocol[State]):
         ...
 
     def train(self, state: State, batches: Minibatch, key: jax.Array) -> tuple[State, Info]:
-        """Learn from the minibatches of a cycle, [updates, batch, ...].
+        """Learn from the minibatches of a cycle, or of a part of it, [updates, batch, ...].
 
         Returns:
             The state, and scalars to log: arrays [k] of which the loop takes the mean.

@@ -33,7 +33,7 @@ class Goals(struct.PyTreeNode):
         threshold: achieved closer than this, [E].
         start: states of the environment in which the episodes begin, leading axis [E]; None for
             those of a reset.
-        memo: what the curriculum wants back with the outcomes, any pytree.
+        memo: what the curriculum wants back with the outcomes, any pytree of arrays.
     """
 
     desired: jax.Array

@@ -4,6 +4,7 @@
     group0_epoch000003_cycle000012.json   its format, SHA-256, size, and config.json; written last
 
 In the middle of a cycle that is cut, `_part000007` is added to the names: seven parts are done.
+Only such a file holds what is unfinished, so that any device can go on from the others.
 
 A checkpoint without its manifest was never finished. One that does not match it is damaged: it
 is set aside under a name that says so, and the one before serves.
@@ -36,6 +37,9 @@ from cgm_jax.storage.metrics import Row, from_lines, to_lines
 
 KEPT = 2
 DAMAGED = ".damaged"
+UNFINISHED = ".unfinished."
+"""Leaves of a cycle that is cut, which mean nothing before its first part."""
+
 RING = ".replay.episodes."
 """Leaves of the replay ring [runs, slots, ...], of which only the filled slots are stored."""
 
@@ -173,6 +177,8 @@ def _named_arrays(
     yield "rows", np.frombuffer(to_lines(training.rows).encode(), np.uint8)
     filled = _filled(training.state)
     for name, leaf in named_leaves(training.state):
+        if name.startswith(UNFINISHED) and not training.part:
+            continue
         rows = _rows_of(jax.random.key_data(leaf) if _is_key(leaf) else leaf)[: training.runs]
         yield name, [row[:filled] for row in rows] if name.startswith(RING) else rows
 
@@ -205,7 +211,10 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
         leaves, structure = jax.tree.flatten(like)
         names = [name for name, _ in named_leaves(like)]
         restored = [
-            restore_leaf(file[name], leaf) for name, leaf in zip(names, leaves, strict=True)
+            restore_leaf(file[name], leaf)
+            if name in file.files
+            else jnp.zeros(leaf.shape, leaf.dtype)  # nothing is unfinished
+            for name, leaf in zip(names, leaves, strict=True)
         ]
         state = jax.tree.unflatten(structure, restored)
         runs = len(jax.tree.leaves(like)[0])
@@ -224,6 +233,13 @@ def _check_shapes(path: Path, like: TrainingState) -> None:
     except ValueError as error:
         raise SettingError(f"resume: {error}") from None
     expected = {name: stored_like(leaf) for name, leaf in named_leaves(like)}
+    within = any(name.startswith(UNFINISHED) for name in stored)
+    if within and not any(name.startswith(UNFINISHED) for name in expected):
+        raise SettingError(
+            f"resume: {path} was stopped in the middle of a cycle, which only a CPU can go on with"
+        )
+    if not within:
+        expected = {name: x for name, x in expected.items() if not name.startswith(UNFINISHED)}
     others = {"position": ((2,), np.int64), "wall_s": ((), np.float64), "rows": (None, np.uint8)}
     if set(stored) != {*expected, *others}:
         raise _foreign(path)

@@ -11,12 +11,12 @@ class Pace:
 
     Attributes:
         evaluation: seconds of the last evaluation; None until one is timed.
-        since_evaluation: seconds of training since then, or since the process began.
+        at_risk: seconds of training and evaluations since the last checkpoint of this process.
     """
 
     def __init__(self) -> None:
         self.evaluation: float | None = None
-        self.since_evaluation = 0.0
+        self.at_risk = 0.0
         self._units: dict[str, float] = {}
 
     def unit(self, kind: str) -> float | None:
@@ -34,8 +34,13 @@ class Pace:
     def record(self, kind: str, units: int, seconds: float) -> None:
         """Take in how long a chunk took."""
         self._units[kind] = seconds / units
-        self.since_evaluation += seconds
+        self.at_risk += seconds
 
     def record_evaluation(self, seconds: float) -> None:
         """Take in how long an evaluation took."""
-        self.evaluation, self.since_evaluation = seconds, 0.0
+        self.evaluation = seconds
+        self.at_risk += seconds
+
+    def record_checkpoint(self) -> None:
+        """Take in that all until now is safe."""
+        self.at_risk = 0.0

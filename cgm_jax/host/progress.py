@@ -4,6 +4,7 @@ import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from types import TracebackType
 from typing import Any, Self
 
@@ -59,7 +60,7 @@ class SweepProgress:
         self._live = Live(self._bar, console=self._console, refresh_per_second=2)
         self._success: dict[str, float] = {}
         self._started = time.monotonic()
-        self._steps = 0
+        self._done = Fraction(0)
 
     def __enter__(self) -> Self:
         if self._redraws:
@@ -87,13 +88,15 @@ class SweepProgress:
         """What comes next has to be compiled first, which takes longer than a chunk."""
         self._bar.update(self._task, description="compiling", speed="")
 
-    def skip(self, cycles: float) -> None:
+    def skip(self, cycles: int | Fraction) -> None:
         """So many cycles were done in an earlier process, or need not be done."""
-        self._bar.update(self._task, advance=cycles)
+        self._done += cycles
+        self._bar.update(self._task, completed=float(self._done))
 
-    def advance(self, cycles: float) -> None:
+    def advance(self, cycles: int | Fraction) -> None:
         """A chunk is done: so many cycles, or so much of one."""
-        self._bar.update(self._task, advance=cycles, description="training")
+        self.skip(cycles)
+        self._bar.update(self._task, description="training")
         self._redraw()
 
     def show_speed(self, env_steps: int, seconds: float) -> None:

@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 
 import jax
 
@@ -71,7 +72,7 @@ def run_jobs(
         directory.replace_metrics(rows + training.rows)
         settings = job.group.settings
         done = training.epoch * settings.cycles_per_epoch + training.cycle
-        progress.skip(done + training.part / job.parts.total)
+        progress.skip(done + Fraction(training.part, job.parts.total))
         recorder = Recorder(
             directory, job.group, index, training.rows, checkpoint_seconds, swept, tracking
         )
@@ -110,8 +111,10 @@ def _begin(
             names = [run.name for run in job.group.runs]
             check_rows(training.rows, names, training.epoch)
             training.rows = _renamed(training.rows, job.group)
+            if not 0 <= training.part < job.parts.total:
+                raise ValueError(f"part {training.part} of cycles of {job.parts.total}")
         except (KeyError, ValueError) as error:
-            raise SettingError(f"resume: a checkpoint holds rows of other runs: {error}") from None
+            raise SettingError(f"resume: a checkpoint is one of other runs: {error}") from None
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
         print(f"{note}; {where}", file=sys.stderr)
@@ -199,6 +202,8 @@ def _train(
             # A signal does not wait for what it could not wait for: that begins with a checkpoint.
             must = interruption.requested or _may_outlast_patience(job, training, recorder, pace)
             saved = recorder.try_to_save(training) if must else recorder.save_if_due(training)
+            if saved:
+                pace.record_checkpoint()
             if interruption.requested and (must or saved):
                 return False
             interruption.expendable = must and saved
@@ -212,21 +217,19 @@ def _may_outlast_patience(
     """Whether what comes next may take longer than a signal can wait, with a checkpoint after it.
 
     Where checkpoints take long it is said less often than it is so: a fifth of the time is enough.
-    Of an evaluation that is the first of this process nothing is known. It is taken for as long as
-    the training before it, which would be lost; and for longer than patience while it compiles, if
-    more than a chunk would be lost.
+    Of what is the first of its kind in this process nothing is known. It is taken for as long as
+    what would be lost; and an evaluation for longer than patience while it compiles, if more than a
+    chunk would be lost.
     """
     if recorder.unsaved_seconds() < 4 * recorder.save_seconds:
         return False
     patience = PATIENCE_SECONDS - recorder.save_seconds
     kind, remaining = _units_ahead(job, training)
-    if remaining:
-        return (pace.unit(kind) or 0.0) > patience
-    if pace.evaluation is not None:
-        return pace.evaluation > patience
-    return pace.since_evaluation > (
-        CHUNK_SECONDS if is_compiling(job.programs.evaluate) else patience
-    )
+    expected = pace.unit(kind) if remaining else pace.evaluation
+    if expected is not None:
+        return expected > patience
+    compiling = not remaining and is_compiling(job.programs.evaluate)
+    return pace.at_risk > (CHUNK_SECONDS if compiling else patience)
 
 
 def _is_finished(group: Group, training: TrainingProgress) -> bool:
@@ -253,7 +256,7 @@ def _train_chunk(
     pace.record(kind, units, time.monotonic() - began)
     cycles, training.part = divmod(training.part + units, job.parts.total)
     training.cycle += cycles
-    progress.advance(units / job.parts.total)
+    progress.advance(Fraction(units, job.parts.total))
     if (seconds := _cycle_seconds(job, pace)) is not None:
         steps_per_cycle = settings.environments * env.episode_length
         progress.show_speed(steps_per_cycle * len(job.group.runs), seconds)
@@ -264,7 +267,7 @@ def _units_ahead(job: Job, training: TrainingProgress) -> tuple[str, int]:
 
     None is left where an evaluation comes next.
     """
-    cycles = job.group.settings.cycles_per_epoch - training.cycle
+    cycles = max(0, job.group.settings.cycles_per_epoch - training.cycle)
     if job.parts == WHOLE or not cycles:
         return "cycle", cycles
     if training.part < job.parts.rollout:

@@ -17,7 +17,9 @@ from typing import Any
 
 Event = dict[str, Any]
 
-MANIFEST = re.compile(r"group([0-9]{1,9})_epoch([0-9]{1,10})_cycle([0-9]{1,10})\.json")
+MANIFEST = re.compile(
+    r"group([0-9]{1,9})_epoch([0-9]{1,10})_cycle([0-9]{1,10})(?:_part([0-9]{1,10}))?\.json"
+)
 """Of a finished checkpoint, see storage/checkpoints.py, which would import JAX."""
 
 
@@ -53,10 +55,16 @@ def last_code(record: Path) -> int | None:
 
 
 def position(out: Path) -> list[int]:
-    """Group, epoch and cycle of a part's last finished checkpoint: there an attempt begins."""
+    """Where a part's next attempt begins, at its last finished checkpoint.
+
+    Returns:
+        Its group, epoch, cycle, and parts of the next cycle where that is cut; nothing if there is
+        no checkpoint.
+    """
     paths = (out / "checkpoints").glob("group*_epoch*_cycle*.json")
     found = [MANIFEST.fullmatch(path.name) for path in paths]
-    return max(([int(number) for number in match.groups()] for match in found if match), default=[])
+    places = ([int(number) for number in match.groups("0")] for match in found if match)
+    return max(places, default=[])
 
 
 def fruitless_attempts(record: Path, out: Path) -> int:

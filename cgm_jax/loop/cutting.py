@@ -3,9 +3,9 @@
 A signal ends training with a checkpoint within seconds, and a compiled program cannot be cut short.
 So where a cycle may take longer, training can be stopped in the middle of one.
 
-That depends on nothing but the settings and the platform, never on how long something took, and a
-program that has cut cycles knows no others: so are the bits of a run the same, however often it is
-stopped. A GPU's cycles are never cut.
+Whether cycles are cut depends on the settings and the platform, never on how long something took.
+So a run's cycles are all cut or all whole, and its bits stay the same however often it is stopped.
+A GPU's cycles are never cut.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,8 @@ class Parts(NamedTuple):
     """How a cycle is cut.
 
     Attributes:
-        rollout: parts of its rollout, which share its steps evenly.
-        updates: parts of its updates, alike.
+        rollout: parts of its rollout, each of as many steps.
+        updates: parts of its updates, each of as many updates.
     """
 
     rollout: int
@@ -72,14 +72,13 @@ def updates_at_once(settings: Settings, check: Callable[[int], object]) -> int:
         check: raises SettingError for a number of minibatches that the agent does not take.
 
     Returns:
-        The largest divisor of `updates_per_cycle` that makes parts short enough and suits the
-        agent; all of them if it takes no fewer.
+        Of the divisors of `updates_per_cycle` that suit the agent the largest that makes parts
+        short enough, else the smallest; all updates if none suits it.
     """
     whole = settings.updates_per_cycle
-    for parts in range(1, whole + 1):
-        count = whole // parts
-        if whole % parts or count * settings.batch_size > PART_TRANSITIONS:
-            continue
+    divisors = [whole // parts for parts in range(1, whole + 1) if whole % parts == 0]
+    short = [count for count in divisors if count * settings.batch_size <= PART_TRANSITIONS]
+    for count in (*short, *reversed(divisors[: len(divisors) - len(short)])):
         try:
             check(count)
         except SettingError:

@@ -42,6 +42,8 @@ def check_components(trainer: Trainer, run: Run) -> None:
         state = jax.eval_shape(trainer.init, run.hyper)
         after = jax.eval_shape(partial(cycle, trainer.setup), state, run.hyper)
         _check_alike(f"{kind}: {name}", state, after)
+        if trainer.setup.is_cut:  # what a cycle hands on to itself then goes through the state
+            jax.eval_shape(trainer.train, state, run.hyper, 1)
         after, _ = jax.eval_shape(trainer.evaluate, state, run.hyper)
         _check_alike(f"{kind}: {name}", state, after)
         reported = jax.eval_shape(run.hyper.curriculum.report, state.curriculum)

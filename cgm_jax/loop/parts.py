@@ -42,7 +42,8 @@ def parts_of_cycle(setup: Setup, hyper: Hyperparameters) -> Parts:
     """How the cycles of a run are cut; `WHOLE` where they are not."""
     if not setup.is_cut:
         return WHOLE
-    rollout = setup.env.episode_length if getattr(setup.env, "states_are_whole", True) else 1
+    whole = getattr(setup.env, "states_are_whole", True)  # a hosted environment's are not
+    rollout = setup.env.episode_length if whole else 1
     updates = setup.settings.updates_per_cycle // sizes(setup, hyper).updates_at_once
     return Parts(rollout, updates)
 
@@ -57,7 +58,7 @@ def init_run(setup: Setup, hyper: Hyperparameters) -> TrainingState:
     if not setup.is_cut:
         return state
     _, like = jax.eval_shape(partial(_begin, setup, hyper), state)
-    return state.replace(unfinished=jax.tree.map(_zeros, like))
+    return state.replace(unfinished=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like))
 
 
 def train_part(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
@@ -88,6 +89,21 @@ def train_part(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Tr
         state,
     )
     return state.replace(unfinished=unfinished)
+
+
+def train_cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
+    """A cycle from its beginning to its end, part by part where it is cut."""
+    if not setup.is_cut:
+        return cycle(setup, state, hyper)
+    parts = parts_of_cycle(setup, hyper)
+    key, unfinished = _begin(setup, hyper, state)
+    rollout = jax.lax.fori_loop(
+        0, parts.rollout, partial(_roll_on, setup, state, hyper, parts), unfinished.rollout
+    )
+    state = state.replace(key=key, unfinished=None)
+    state = store(setup, state, hyper, finish_rollout(setup.env, rollout))
+    state = jax.lax.fori_loop(0, parts.updates, partial(_learn_on, setup, hyper, unfinished), state)
+    return state.replace(unfinished=unfinished.replace(rollout=rollout))
 
 
 def _begin(
@@ -142,9 +158,3 @@ def _learn_on(
 def _if(condition: jax.Array, function: Callable[[Tree], Tree], tree: Tree) -> Tree:
     """What a function makes of a pytree if a condition holds, else the same."""
     return jax.lax.cond(condition, function, lambda tree: tree, tree)
-
-
-def _zeros(like: jax.ShapeDtypeStruct) -> jax.Array:
-    if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
-        return jnp.broadcast_to(jax.random.key(0), like.shape)
-    return jnp.zeros(like.shape, like.dtype)

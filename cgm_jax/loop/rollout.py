@@ -23,7 +23,7 @@ Policy = Callable[[jax.Array, jax.Array, Exploration | None], jax.Array]
 
 
 _Carry = tuple[State, Any, Any]
-"""Of a step: states, what of them is visited, and the step of each episode after which, or None."""
+"""What a step hands on: states, and `visited` and `visits` as in `PartialRollout`."""
 
 
 class Rollout(struct.PyTreeNode):

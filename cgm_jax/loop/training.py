@@ -29,7 +29,7 @@ from cgm_jax.loop.devices import (
 )
 from cgm_jax.loop.evaluation import Metrics, evaluate
 from cgm_jax.loop.in_turn import in_place, in_turn
-from cgm_jax.loop.parts import init_run, parts_of_cycle, train_part
+from cgm_jax.loop.parts import init_run, parts_of_cycle, train_cycle, train_part
 from cgm_jax.loop.setup import Setup, make_setup
 from cgm_jax.loop.state import TrainingState
 
@@ -41,7 +41,8 @@ class Trainer(NamedTuple):
         setup: the environment and the static settings.
         init: from hyperparameters to the state before any training.
         parts: how the cycles of a run are cut, see `cutting.py`.
-        train: so many cycles, or parts of them where they are cut.
+        train: so many cycles, or parts of them where they are cut; then `jax.vmap` of it takes
+            every part for all kinds of them.
         evaluate: close an epoch: noise-free episodes, and its metrics.
         epoch: `cycles_per_epoch` cycles, then `evaluate`.
     """
@@ -87,9 +88,10 @@ def train(
 def epoch(
     setup: Setup, state: TrainingState, hyper: Hyperparameters
 ) -> tuple[TrainingState, Metrics]:
-    """One epoch: `cycles_per_epoch` cycles, then an evaluation."""
-    parts = parts_of_cycle(setup, hyper)
-    state = train(setup, state, hyper, setup.settings.cycles_per_epoch * parts.total)
+    """One epoch, between which no cycle is unfinished: `cycles_per_epoch` cycles, an evaluation."""
+    state = jax.lax.fori_loop(
+        0, setup.settings.cycles_per_epoch, lambda _, state: train_cycle(setup, state, hyper), state
+    )
     return evaluate(setup, state, hyper)
 
 
@@ -130,16 +132,16 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
         own, count = own_rows(team, hyper)
         return _over_rows(on_cpu, trainer.init, count)(own)
 
-    def train(states: TrainingState, hyper: Hyperparameters, parts: jax.Array) -> TrainingState:
+    def train(states: TrainingState, hyper: Hyperparameters, units: jax.Array) -> TrainingState:
         own, count = own_rows(team, hyper)
-        one = partial(_train_for, trainer, parts)
+        one = partial(_train_for, trainer, units)
         return in_place(one, count)(states, own) if on_cpu else jax.vmap(one)(states, own)
 
     def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
         own, count = own_rows(team, hyper)
         one = partial(_evaluate_without_replay, trainer)
         after, metrics = _over_rows(on_cpu, one, count)(states, own)
-        return after.replace(replay=states.replay), metrics
+        return after.replace(replay=states.replay, unfinished=states.unfinished), metrics
 
     starting = jax.jit(on_each(team, start, ON_EACH))
     return Programs(
@@ -157,14 +159,14 @@ def _over_rows(on_cpu: bool, function: Callable[..., Any], count: jax.Array) -> 
 
 
 def _train_for(
-    trainer: Trainer, parts: jax.Array, state: TrainingState, hyper: Hyperparameters
+    trainer: Trainer, units: jax.Array, state: TrainingState, hyper: Hyperparameters
 ) -> TrainingState:
-    return trainer.train(state, hyper, parts)
+    return trainer.train(state, hyper, units)
 
 
 def _evaluate_without_replay(
     trainer: Trainer, state: TrainingState, hyper: Hyperparameters
 ) -> tuple[TrainingState, Metrics]:
-    """Evaluation does not change the replay, which is too large to be copied for nothing."""
+    """Evaluation leaves alone what is too large to be copied for nothing."""
     state, metrics = trainer.evaluate(state, hyper)
-    return state.replace(replay=None), metrics
+    return state.replace(replay=None, unfinished=None), metrics

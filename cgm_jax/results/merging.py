@@ -28,6 +28,7 @@ from cgm_jax.storage.checkpoints import (
     finished_checkpoints,
     format_of,
     manifest_path,
+    position_of,
     write_manifest,
 )
 from cgm_jax.storage.config_file import UNREADABLE
@@ -142,7 +143,8 @@ def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece
     except (ValueError, KeyError) as error:
         raise SettingError(f"{last} holds rows of other runs: {error}") from None
     rates = [row["success_rate"] for row in rows]
-    if cycle or not have_finished(rates, len(runs), epoch, epochs, leave_at):
+    in_epoch = (cycle, position_of(last)[2]) > (0, 0)
+    if in_epoch or not have_finished(rates, len(runs), epoch, epochs, leave_at):
         raise _unfinished(path, epoch, epochs)
     own = {run["name"]: {kind: run[kind] for kind in NAMES if kind in run} for run in runs}
     return Piece(last, [row | _among(own[row["run"]], row) for row in rows])

@@ -58,20 +58,24 @@ def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
 
 
 def position(directory: Path, group: int) -> tuple[int, int]:
-    """Epochs that a group has done, and cycles of the next one; (0, 0) without a checkpoint."""
+    """Whole epochs that a group has done, and whole cycles of the next one.
+
+    (0, 0) without a checkpoint.
+    """
     paths = finished_checkpoints(directory, group)
-    return _position(paths[-1]) if paths else (0, 0)
+    return position_of(paths[-1])[:2] if paths else (0, 0)
 
 
 def epochs_begun(directory: Path) -> int:
     """Epochs of the group that has come farthest, the one in progress included."""
-    positions = [_position(path) for path in finished_checkpoints(directory)]
-    return max([epoch + (cycle > 0) for epoch, cycle in positions], default=0)
+    positions = [position_of(path) for path in finished_checkpoints(directory)]
+    return max([epoch + ((cycle, part) > (0, 0)) for epoch, cycle, part in positions], default=0)
 
 
-def _position(path: Path) -> tuple[int, int]:
-    epoch, cycle = re.findall(r"\d+", path.stem)[1:3]
-    return int(epoch), int(cycle)
+def position_of(path: Path) -> tuple[int, int, int]:
+    """Epochs that are done in a checkpoint, cycles of the next one, and parts of the next cycle."""
+    epoch, cycle, *part = (int(number) for number in re.findall(r"\d+", path.stem)[1:])
+    return epoch, cycle, part[0] if part else 0
 
 
 def format_of(path: Path) -> int:

@@ -51,7 +51,8 @@ class HostedTask:
     Attributes:
         action_size, episode_length, distance_threshold: see there.
         remarks: lines about what is allowed but hardly meant.
-        states_are_whole: whether an episode can go on from a state in a new process.
+        states_are_whole: whether an episode can go on from a state in a new process; no, so that a
+            rollout is never cut.
     """
 
     states_are_whole = False

@@ -16,7 +16,7 @@ from cgm_jax.host import checkpoint
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
-from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoints
+from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoints, position
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
@@ -142,6 +142,13 @@ def test_files_that_are_no_checkpoints_are_nobodys_business(
     assert finished_checkpoints(tmp_path) == finished_checkpoints(tmp_path, 0) == [kept]
     assert epochs_begun(tmp_path) == 3
     assert load(tmp_path)[0].epoch == 3
+
+
+def test_a_part_of_a_cycle_begins_an_epoch(tmp_path: Path, state: TrainingState) -> None:
+    save(tmp_path, state, epoch=3)
+    assert (epochs_begun(tmp_path), position(tmp_path, 0)) == (3, (3, 0))
+    save_checkpoint(tmp_path, 0, TrainingProgress(state, 3, 0, 12.5, ROWS, part=55))
+    assert (epochs_begun(tmp_path), position(tmp_path, 0)) == (4, (3, 0))
 
 
 def test_no_checkpoint_is_the_beginning(tmp_path: Path) -> None:

@@ -3,13 +3,18 @@
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from cgm_jax.host import runner
+from cgm_jax.config.grid import Group
+from cgm_jax.config.settings import Settings
+from cgm_jax.host import jobs, runner
 from cgm_jax.host.checkpoint import TrainingProgress
+from cgm_jax.host.pace import Pace
 from cgm_jax.loop import cutting
+from cgm_jax.loop.cutting import Parts
 from cgm_jax.storage.checkpoints import finished_checkpoints, position
 from tests.cgm_jax.host.in_process import EPOCHS, RUNS, train
 from tests.cgm_jax.sweeps import assert_same_results, final_state, rows
@@ -63,7 +68,37 @@ def test_a_signal_in_the_middle_of_a_cycle_ends_with_all_of_it_that_is_done(
     assert train(out, *OPTIONS) == 0
     assert len(rows(out)) == EPOCHS * RUNS
     assert_same_results(whole, out)
-    assert any(name.startswith(".unfinished.") for name in final_state(whole))
+    assert not any(name.startswith(".unfinished.") for name in final_state(whole))
+
+
+@pytest.mark.parametrize(("seconds", "outlasts"), [(6.9, False), (7.1, True)])
+def test_of_updates_that_are_the_first_nothing_is_known_but_the_rollout_that_they_could_cost(
+    seconds: float, outlasts: bool
+) -> None:
+    job = jobs.Job(Group(Settings(cycles_per_epoch=1), ()), SimpleNamespace(), Parts(50, 20))  # pyright: ignore
+    training: Any = SimpleNamespace(cycle=0, part=50)
+    recorder: Any = SimpleNamespace(save_seconds=1.0, unsaved_seconds=lambda: 100.0)
+    pace = Pace()
+    pace.record("rollout", 50, seconds)
+    assert runner._may_outlast_patience(job, training, recorder, pace) is outlasts
+    pace.record_checkpoint()
+    assert not runner._may_outlast_patience(job, training, recorder, pace)
+    pace.record("updates", 2, 14.2)
+    assert runner._may_outlast_patience(job, training, recorder, pace)
+
+
+def test_what_comes_next_is_alike_until_it_ends() -> None:
+    job = jobs.Job(Group(Settings(cycles_per_epoch=2), ()), SimpleNamespace(), Parts(50, 20))  # pyright: ignore
+
+    def ahead(cycle: int, part: int) -> tuple[str, int]:
+        return runner._units_ahead(job, SimpleNamespace(cycle=cycle, part=part))  # pyright: ignore
+
+    assert ahead(0, 0) == ("rollout", 50)
+    assert ahead(1, 49) == ("rollout", 1)
+    assert ahead(1, 50) == ("updates", 20)
+    assert ahead(1, 69) == ("updates", 1)
+    assert ahead(2, 0)[1] == 0
+    assert ahead(3, 0)[1] == 0  # of a directory that asks for fewer now
 
 
 def test_a_damaged_checkpoint_of_a_part_leaves_the_one_before(

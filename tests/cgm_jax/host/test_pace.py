@@ -23,10 +23,12 @@ def test_each_kind_has_a_pace_of_its_own() -> None:
     assert pace.next_chunk("rollout", 50) == 4
 
 
-def test_what_an_evaluation_has_not_seen_adds_up_until_it_has() -> None:
+def test_what_is_at_risk_adds_up_until_there_is_a_checkpoint() -> None:
     pace = Pace()
     pace.record("rollout", 50, 3.0)
     pace.record("updates", 20, 4.0)
-    assert pace.since_evaluation == 7.0
     pace.record_evaluation(1.5)
-    assert (pace.evaluation, pace.since_evaluation) == (1.5, 0.0)
+    assert (pace.evaluation, pace.at_risk) == (1.5, 8.5)
+    pace.record_checkpoint()
+    pace.record("rollout", 50, 3.0)
+    assert (pace.evaluation, pace.at_risk) == (1.5, 3.0)

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -45,7 +46,8 @@ def test_runs_stay_listed_only_where_no_summary_lists_them_again(
     done: int, listed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with terminal(monkeypatch) as written, SweepProgress(10) as progress:
-        progress.advance(done)
+        for _ in range(70 * done):  # floats would never add up to the whole
+            progress.advance(Fraction(1, 70))
         progress.epoch(1, [{"run": name, "success_rate": 0.5} for name in NAMES])
     last = written.decode().rpartition("\x1b[2K")[2]  # after all that was erased
     assert f"{10 * done} %" in last

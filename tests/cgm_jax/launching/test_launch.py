@@ -20,7 +20,7 @@ from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.progress import JointProgress, Rows
-from cgm_jax.launching.record import last_code, position
+from cgm_jax.launching.record import append_event, fruitless_attempts, last_code, position
 from cgm_jax.launching.slurm import sbatch_options
 from cgm_jax.machine.allotment import MEMORY_VARIABLE
 from cgm_jax.storage.lock import InUseError, locked
@@ -304,11 +304,25 @@ def test_a_merged_launch_with_damaged_metrics_is_refused(folder: Path, text: str
         program.main(["--resume", "out"])
 
 
+def test_attempts_that_end_within_one_long_cycle_come_further(folder: Path) -> None:
+    (folder / "checkpoints").mkdir()
+    record = folder / "record"
+    for part in (7, 19):
+        append_event(record, "started", position=position(folder))
+        assert fruitless_attempts(record, folder) == 1
+        name = f"group0_epoch000000_cycle000000_part{part:06d}.json"
+        (folder / "checkpoints" / name).touch()
+        assert position(folder) == [0, 0, 0, part]
+        assert fruitless_attempts(record, folder) == 0
+    (folder / "checkpoints" / "group0_epoch000000_cycle000001.json").touch()
+    assert position(folder) == [0, 0, 1, 0]
+
+
 def test_what_is_no_checkpoint_or_no_event_is_passed_over(folder: Path) -> None:
     (folder / "checkpoints").mkdir()
     for name in ("group0_epochx_cycley", "group0_epoch000001_cycle000002", f"group{'9' * 5000}"):
         (folder / "checkpoints" / f"{name[:200]}.json").touch()
-    assert position(folder) == [0, 1, 2]
+    assert position(folder) == [0, 1, 2, 0]
     record = folder / "record"
     record.write_text('{"event": "ended", "code": "high"}\n' + "[" * 10**5 + "\n")
     assert last_code(record) is None

@@ -1,3 +1,4 @@
+import dataclasses
 from typing import Any, ClassVar
 
 import jax
@@ -10,7 +11,7 @@ from cgm_jax.config.grid import Run, hyperparameters
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.curricula.full import Full
 from cgm_jax.loop.own_components import check_components
-from cgm_jax.loop.training import make_trainer
+from cgm_jax.loop.training import Trainer, make_trainer
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.my_agent import MyAgent
 from tests.examples.point_mass import PointMass
@@ -18,12 +19,12 @@ from tests.examples.point_mass import PointMass
 TRAINER = make_trainer(PointMass(), TINY)
 
 
-def check(*, curriculum: Any = None, agent: Any = None) -> None:
+def check(*, curriculum: Any = None, agent: Any = None, trainer: Trainer = TRAINER) -> None:
     small = tiny().agent
     hyper = Hyperparameters(curriculum=curriculum or Full(), agent=agent or small)
     names = {"curriculum": "full", "agent": "ddpg", "relabelling": "future"}
     own = "curriculum" if agent is None else "agent"
-    check_components(TRAINER, Run("a", hyper, {**names, own: "own.py:Own"}))
+    check_components(trainer, Run("a", hyper, {**names, own: "own.py:Own"}))
 
 
 @settings
@@ -75,6 +76,23 @@ class Restructures(Full):
 def test_a_curriculum_that_breaks_its_protocol_is_refused(curriculum: Any, complaint: str) -> None:
     with pytest.raises(SettingError, match=f"^{complaint}"):
         check(curriculum=curriculum)
+
+
+@settings
+class Remembers(Full):
+    def sample(self, state: Any, key: Any, drawn: Any, view: Any) -> Any:
+        return drawn.replace(memo=3)
+
+    def after_training(self, state: Any, outcomes: Any) -> Any:
+        jnp.zeros(outcomes.goals.memo)  # a shape, which an array cannot be
+        return state
+
+
+def test_a_memo_that_is_no_array_is_refused_where_cycles_are_cut() -> None:
+    check(curriculum=Remembers())
+    cut = make_trainer(PointMass(), dataclasses.replace(TINY, environments=1025))
+    with pytest.raises(SettingError, match=r"^curriculum: own.py:Own fails with TypeError: Shapes"):
+        check(curriculum=Remembers(), trainer=cut)
 
 
 @settings

@@ -11,6 +11,7 @@ import pytest
 from brax.envs.base import State
 
 from cgm_jax import envs
+from cgm_jax.config.components import builtin
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.settings import Hyperparameters, Settings
@@ -39,7 +40,7 @@ class Walled(PointMass):
 
 @dataclasses.dataclass(frozen=True)
 class HalfTold(PointMass):
-    """Whose states do not hold all that there is of an episode."""
+    """Whose states do not hold all that there is of an episode, as a Gymnasium environment's."""
 
     states_are_whole: bool = False
 
@@ -86,7 +87,8 @@ def test_physics_that_xla_compiles_are_cut_sooner() -> None:
         (640, 1024, 640, 640),  # the actor learns once a cycle
         (7, 16_384, 1, 1),  # a prime number of large ones
         (40, 512, 1, 40),
-        (3, 65_536, 1, 3),  # not even one would be short
+        (3, 65_536, 1, 1),  # not even one is short
+        (640, 1024, 40, 40),  # the fewest that the agent takes are a little too many
     ],
 )
 def test_updates_are_cut_evenly_where_the_agent_lets_them(
@@ -195,7 +197,50 @@ def test_bits_do_not_depend_on_where_a_cycle_was_stopped(tmp_path: Path) -> None
         assert (training.cycle, training.part) == (cycle, part)
         state = programs.spread(training.state)
     assert done == 2 * parts.total
-    assert_same(state, whole)
+    assert_same(state.replace(unfinished=None), whole.replace(unfinished=None))
+    alone = stack([tiny(seed=1)])
+    state = programs.train(programs.start(alone), alone, 2 * parts.total)
+    assert_same(state, jax.tree.map(lambda leaf: leaf[1:], whole))
+
+
+@pytest.mark.usefixtures("cut_small")
+def test_a_device_that_does_not_cut_goes_on_between_cycles_but_not_within_one(
+    tmp_path: Path,
+) -> None:
+    cutting_trainer, hyper = make_trainer(PointMass(), TINY), stack([tiny()])
+    state = jax.eval_shape(jax.vmap(cutting_trainer.init), hyper)
+    state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), state)
+    like = jax.eval_shape(jax.vmap(make_trainer(PointMass(), TINY, "gpu").init), hyper)
+    save_checkpoint(tmp_path, 0, TrainingProgress(state, epoch=1))
+    training, _ = load_checkpoint(tmp_path, 0, like)
+    assert training is not None
+    assert training.state.unfinished is None
+    save_checkpoint(tmp_path, 1, training)
+    training, _ = load_checkpoint(tmp_path, 1, jax.eval_shape(lambda: state))
+    assert training is not None
+    assert_same(training.state, state)  # with nothing unfinished
+    save_checkpoint(tmp_path, 0, TrainingProgress(state, epoch=1, part=3))
+    with pytest.raises(SettingError, match="in the middle of a cycle, which only a CPU can go on"):
+        load_checkpoint(tmp_path, 0, like)
+
+
+@pytest.mark.usefixtures("cut_small")
+@pytest.mark.parametrize(
+    "values",
+    [
+        *({"curriculum": name, "critics": 3} for name in builtin("curriculum")),
+        *({"agent": name} for name in builtin("agent")),
+    ],
+    ids=lambda values: " ".join(map(str, values.values())),
+)
+def test_every_part_keeps_the_structure_of_the_state(values: dict[str, Any]) -> None:
+    trainer, hyper = make_trainer(PointMass(), TINY), tiny(**values)
+    state = jax.eval_shape(trainer.init, hyper)
+    trained = jax.eval_shape(trainer.train, state, hyper, 1)
+    after_epoch, _ = jax.eval_shape(trainer.epoch, state, hyper)
+    shapes = [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(state)]
+    for after in (trained, after_epoch):
+        assert [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(after)] == shapes
 
 
 @pytest.mark.usefixtures("cut_small")
