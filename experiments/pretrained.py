@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def chosen(task: str, directory: RunDirectory) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What is to be known of the best policy of a run, and its arrays."""
     candidates: dict[str, Path] = {}
-    for run in (run for group in directory.groups() for run in group.runs):
+    for run in (run for group in directory.config.groups() for run in group.runs):
         last = directory.policy_path(run)
         improved = last.parent.glob(f"improvements/{run.name}_epoch*.npz")
         latest = sorted(improved, key=lambda path: int(path.stem.rpartition("_epoch")[2]))[-3:]

@@ -253,7 +253,7 @@ def print_restored(directory: Path) -> None:
     Raises:
         SettingError: it cannot be written, or a part of the directory leads elsewhere.
     """
-    if (line := RunDirectory(directory).restore_config()) is not None:
+    if (line := RunDirectory(directory).config.restore()) is not None:
         print(line, file=sys.stderr)
 
 

@@ -33,7 +33,7 @@ def extended(directory: RunDirectory, groups: Sequence[Group], chosen: Grid) -> 
     if len(recorded) > 1:
         numbers = " and ".join(map(str, recorded))
         raise SettingError(f"epochs: {directory.path} compares {numbers} epochs, which stay")
-    if directory.shard() is not None:
+    if directory.config.shard() is not None:
         raise SettingError(
             f"epochs: {directory.path} is a part of a sweep; merge the parts, then train the whole"
         )

@@ -55,7 +55,7 @@ class Recorder:
         self._interval = checkpoint_seconds
         self._saved = time.monotonic()
         self.save_seconds = 1.0
-        self._config = directory.config_bytes()  # as it was when training began
+        self._config = directory.config.read_bytes()  # as it was when training began
         self._best = {run.name: 0.0 for run in group.runs}
         for row in rows:
             self._improves(row)

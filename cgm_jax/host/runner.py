@@ -63,7 +63,7 @@ def run_jobs(
         SettingError: a checkpoint holds the state of another program.
     """
     rows, last = [], []
-    shard = directory.shard()
+    shard = directory.config.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         progress.compiling()

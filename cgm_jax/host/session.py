@@ -66,7 +66,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         if asked.groups is None and out is not None:
             # What own code the user names goes with what the directory holds.
             named = {kind: asked.chosen.get(kind, ()) for kind in NAMES}
-            moved = RunDirectory.open(out).moved(named)
+            moved = RunDirectory.open(out).config.moved(named)
         recorded = None if out is None else _recorded_groups(out, asked, moved)
         to_train, devices = recorded or asked.groups or [], parse_devices(options.devices)
         jobs, notes = plan(to_train, devices, planned=recorded is not None)
@@ -90,7 +90,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                     if start is not None:
                         directory.write_start(start)
                     groups = [job.group for job in jobs]
-                    directory.write_config(groups, asked.preset, device, asked.shard, asked.origin)
+                    directory.config.write(groups, asked.preset, device, asked.shard, asked.origin)
                 else:
                     notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
@@ -192,7 +192,7 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
     """
     directory = RunDirectory(out)
     if asked.groups is None:
-        recorded = RunDirectory.open(out).groups(moved)
+        recorded = RunDirectory.open(out).config.groups(moved)
         check_unchanged(out, recorded, asked.chosen)
         return extended(directory, recorded, asked.chosen)
     if not directory.holds_sweep():
@@ -200,8 +200,8 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
     if (before := read_origin(directory.path / CONFIG)) != asked.origin:
         now, then = asked.origin or "nothing", before or "nothing"
         raise SettingError(f"from: {out} was begun from {then}, not from {now}")
-    recorded = directory.groups()
-    if directory.shard() != asked.shard:
+    recorded = directory.config.groups()
+    if directory.config.shard() != asked.shard:
         raise SettingError(f"out: {out} already holds another part, or a whole sweep")
     check_same(out, recorded, asked.groups)
     return recorded
@@ -222,7 +222,7 @@ def _notes_on_resuming(
     from cgm_jax.host.runner import check_last_checkpoints
 
     notes, epochs = ["resuming where it was stopped"], None
-    changed = directory.changes_since_begun(device, groups, moved)
+    changed = directory.config.changes_since_begun(device, groups, moved)
     try:
         check_last_checkpoints(jobs, directory)
     except SettingError as error:
@@ -230,12 +230,12 @@ def _notes_on_resuming(
         raise SettingError(f"{error}{reason}") from None
     if changed:
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
-    before, now = (one[0].settings.epochs for one in (directory.groups(moved), groups))
+    before, now = (one[0].settings.epochs for one in (directory.config.groups(moved), groups))
     if before != now:
         epochs = now
         notes.append(f"{now} epochs instead of {before}")
         changed.append(f"epochs {before} (now {now})")
-    directory.record_resumption(changed, moved, epochs)
+    directory.config.record_resumption(changed, moved, epochs)
     return notes
 
 

@@ -49,7 +49,7 @@ def chosen_policies(
         raise SettingError("source: name a run directory or a policy file, or give --pretrained")
     if source.suffix != SUFFIX or source.is_dir():
         directory = RunDirectory.open(source)
-        return _of_directory(directory, run, directory.moved(named))
+        return _of_directory(directory, run, directory.config.moved(named))
     if run is not None:
         raise SettingError("run: goes with a run directory, not with a policy file")
     if not source.is_file():
@@ -61,7 +61,7 @@ def _of_directory(
     directory: RunDirectory, only: str | None, moved: Mapping[str, str]
 ) -> list[Policies]:
     """The policies of a run directory, by run name; runs without one are left out."""
-    groups = directory.groups(moved)
+    groups = directory.config.groups(moved)
     if only is not None and not any(run.name == only for group in groups for run in group.runs):
         raise SettingError(f"run: {directory.path} holds no run {only!r}")
     found = []
@@ -87,7 +87,7 @@ def _settings_of_file(path: Path, named: Mapping[str, Sequence[str]]) -> Setting
         folder, run = folder.parent, improvement[1]
     if folder.name == "policies" and RunDirectory(folder.parent).holds_sweep():
         directory = RunDirectory.open(folder.parent)
-        for group in directory.groups(directory.moved(named)):
+        for group in directory.config.groups(directory.config.moved(named)):
             if run in (one.name for one in group.runs):
                 return group.settings
     environments = named.get("env", ())

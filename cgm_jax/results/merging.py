@@ -70,7 +70,7 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
     opened = [(path, RunDirectory.open(path)) for path in paths]
     shards: dict[Path, Shard] = {}
     for path, directory in opened:
-        shard = directory.shard()
+        shard = directory.config.shard()
         if shard is None:
             raise SettingError(f"{path} is no part of a sweep: it was trained without --shard")
         first, other = next(iter(shards.items()), (path, shard))
@@ -104,7 +104,7 @@ def _check_complete(shards: Sequence[Shard]) -> None:
 
 
 def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
-    config = directory.config()
+    config = directory.config.read()
     try:
         pieces = [
             _read_piece(path, index, entry["runs"]) for index, entry in enumerate(config["groups"])
@@ -198,7 +198,7 @@ def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:
             _copy(part.path / "policies" / name, out / "policies" / name)
     rows = [row for piece in pieces for row in piece.rows]
     directory.replace_metrics(rows)
-    directory.replace_config(config)
+    directory.config.replace(config)
     if any(RunDirectory(part.path).has_csv() for part in parts):
         directory.write_csv()
     return rows

@@ -2,7 +2,7 @@
 
 run_directory.py  what a sweep writes, and reads again; lock.py one sweep per directory
 layout.py         names of the parts of a run directory, none of which leads elsewhere
-config_file.py    what config.json says of runs, read as untrusted input
+sweep_config.py   its config.json; config_file.py what that says of runs, as untrusted input
 metrics.py        rows of metrics: dicts in memory, lines of JSON in files
 checkpoints.py    checkpoints as files: finished, whole, and the config they carry
 formats.py        older formats of config.json

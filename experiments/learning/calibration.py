@@ -80,7 +80,7 @@ def calibrate(directory: RunDirectory) -> list[dict[str, Any]]:
     Raises:
         ValueError: its runs differ in their settings or environments.
     """
-    groups = directory.groups()
+    groups = directory.config.groups()
     (settings,) = {group.settings for group in groups}
     env = make_environment(settings)
     measure = jax.jit(functools.partial(success_per_mask, env))

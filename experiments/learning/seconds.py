@@ -121,8 +121,8 @@ def timed(
             raise RuntimeError(f"train {' '.join(words)} has failed: {result.stderr.decode()}")
         used = cpu_of_children() - used
         written = RunDirectory(directory)
-        rows, config = written.metrics(), written.config()
-        (run,) = (run for group in written.groups() for run in group.runs)
+        rows, config = written.metrics(), written.config.read()
+        (run,) = (run for group in written.config.groups() for run in group.runs)
         raw = rows[-1]["env_steps"] / steps_rate + rows[-1]["updates"] / update_rate
         held = first_to_hold(rows, level) is not None
         held_s = (directory / METRICS).stat().st_mtime - began if held else math.inf

@@ -92,7 +92,7 @@ def compare(options: TransferOptions) -> list[dict[str, Any]]:
 
     rows = []
     for directory in [RunDirectory.open(path) for path in options.directories]:
-        for group in directory.groups():
+        for group in directory.config.groups():
             task = group.settings.env
             policies = {run.name: directory.policy_path(run) for run in group.runs}
             for name, policy in policies.items():

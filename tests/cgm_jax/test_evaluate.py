@@ -58,7 +58,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunDirectory
     values = dataclasses.asdict(REACH)
     runs = tuple(run_of(name, values)[1] for name in ("still", "straight"))
     with RunDirectory.claimed(tmp_path_factory.mktemp("known") / "out", fresh=True) as directory:
-        directory.write_config([Group(REACH, runs)], "smoke", "cpu")
+        directory.config.write([Group(REACH, runs)], "smoke", "cpu")
         for run, gain in zip(runs, (0.0, 15.0), strict=True):
             directory.write_policy(run, reaching_policy(gain))
         yield directory
@@ -338,7 +338,7 @@ def test_bad_input_is_refused_by_name(arguments: str) -> None:
 def test_a_policy_file_is_evaluated_in_the_environment_of_its_run_or_in_a_named_one(
     directory: RunDirectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = directory.groups()[0].runs[1]
+    run = directory.config.groups()[0].runs[1]
     directory.write_improvement(run, 7, reaching_policy(15.0))
     improvement = directory.path / "policies/improvements/straight_epoch7.npz"
     elsewhere = tmp_path / "mine.npz"

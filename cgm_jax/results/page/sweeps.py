@@ -66,7 +66,7 @@ def read_sweep(path: Path) -> Sweep:
         SettingError: it holds no sweep, or a part of it is damaged or leads elsewhere.
     """
     directory = RunDirectory.open(path)
-    config = plain_row(directory.config())
+    config = plain_row(directory.config.read())
     rows = _rows(directory)
     try:
         sweep = Sweep(path, config, runs_of(rows), _told(rows))

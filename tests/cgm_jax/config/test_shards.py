@@ -79,9 +79,9 @@ def test_a_part_is_a_number_of_a_number() -> None:
 def test_a_directory_knows_which_part_it_holds(groups: list[Group], tmp_path: Path) -> None:
     pieces, shard = cut(groups, 2, 3)
     with RunDirectory.claimed(tmp_path / "part", fresh=True) as directory:
-        directory.write_config(pieces, "smoke", "cpu", shard=shard)
-    assert directory.shard() == shard
-    assert directory.groups() == pieces
+        directory.config.write(pieces, "smoke", "cpu", shard=shard)
+    assert directory.config.shard() == shard
+    assert directory.config.groups() == pieces
     asked = Asked("smoke", {}, pieces, shard=shard)
     assert _recorded_groups(directory.path, asked, {}) == pieces
     # The same runs may be another part of another sweep.
@@ -107,12 +107,12 @@ def test_a_damaged_part_is_refused(
 ) -> None:
     pieces, shard = cut(groups, 2, 3)
     with RunDirectory.claimed(tmp_path / "part", fresh=True) as directory:
-        directory.write_config(pieces, "smoke", "cpu", shard=shard)
-    config = json.loads(directory.config_bytes())
+        directory.config.write(pieces, "smoke", "cpu", shard=shard)
+    config = json.loads(directory.config.read_bytes())
     config["shard"] |= change
     (directory.path / "config.json").write_text(json.dumps(config))
     with pytest.raises(SettingError, match=r"config\.json is damaged"):
-        directory.shard()
+        directory.config.shard()
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     def plan(options: Any, asked: Any) -> int:
         groups = asked.groups
         if groups is None:
-            groups = RunDirectory.open(options.resume).groups()
+            groups = RunDirectory.open(options.resume).config.groups()
         plans.append(groups)
         return 0
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cgm_jax import sweep
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.sweep_config import SweepConfig
 from tests.cgm_jax.host.in_process import ALWAYS, EPOCHS, RUNS, at_epoch, stop_at_epoch, train
 from tests.cgm_jax.sweeps import assert_same_results, rows
 
@@ -135,7 +135,7 @@ def test_without_room_for_its_config_nothing_is_begun_and_the_same_command_begin
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(RunDirectory, "replace_config", full)
+        patch.setattr(SweepConfig, "replace", full)
         assert train(out) == 74
     lines = capsys.readouterr().err.splitlines()
     assert lines[-2:] == [

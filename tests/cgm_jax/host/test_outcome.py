@@ -44,7 +44,7 @@ def test_runs_that_are_not_as_they_should_be_are_told(
 def directory(tmp_path: Path) -> RunDirectory:
     """A sweep with one epoch of one run."""
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     row = {
         **{"run": "reach_ddpg-her_cgm-cg0.1-kappa4_seed0", "env": "reach", "seed": 0, "epoch": 1},
         **{"curriculum": "cgm", "agent": "ddpg", "cgm": True, "her": True, "c_g": 0.1, "kappa": 4},

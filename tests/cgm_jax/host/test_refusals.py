@@ -115,7 +115,7 @@ def test_a_policy_that_does_not_fit_is_refused_before_anything_is_made(
 
 def test_sweeps_that_compare_numbers_of_epochs_are_not_trained_for_longer(tmp_path: Path) -> None:
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {"epochs": [1, 2]}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {"epochs": [1, 2]}), "smoke", "cpu")
     with pytest.raises(SettingError, match=r"^epochs: .* compares 1 and 2 epochs, which stay$"):
         sweep.main(["--resume", str(directory.path), "--epochs", "4"])
 

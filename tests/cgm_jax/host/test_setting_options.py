@@ -135,8 +135,8 @@ def test_settings_of_an_agent_of_the_users_own_are_read_as_it_declares_them(
         "widths32_seed0",
     ]
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(groups, "smoke", "cpu")
-        assert directory.groups() == groups  # tuples come back from lists
+        directory.config.write(groups, "smoke", "cpu")
+        assert directory.config.groups() == groups  # tuples come back from lists
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_a_config_json_asks_for_the_same_runs_again(tmp_path: Path) -> None:
     options = {"curriculum": ["cgm", "full"], "seed": [0, 1], "hidden_layers": [(8,), (8, 16)]}
     groups = build_groups("smoke", options)
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(groups, "smoke", "cpu")
+        directory.config.write(groups, "smoke", "cpu")
     config = str(directory.path / "config.json")
     assert groups_of("--config", config) == groups_of("--config", str(directory.path)) == groups
     copy = written(tmp_path / "copy.json", Path(config).read_text())

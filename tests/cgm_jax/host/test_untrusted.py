@@ -37,7 +37,7 @@ def untrusted(tmp_path: Path) -> Path:
     """A directory from elsewhere, whose config names code that it brings along."""
     out = tmp_path / "untrusted"
     with RunDirectory.claimed(out, fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     (out / "figures" / "x.py").write_text(CODE)
     (out / "policies" / "a.npz").touch()
     return out

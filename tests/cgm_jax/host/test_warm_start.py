@@ -61,7 +61,7 @@ def directory(tmp_path: Path) -> tuple[Path, Any]:
     """A run directory of two runs, and the state of its last checkpoint."""
     with RunDirectory.claimed(tmp_path / "source", fresh=True) as found:
         groups = build_groups("smoke", {"kappa": [4.0, 32.0]})
-        found.write_config(groups, "smoke", "cpu")
+        found.config.write(groups, "smoke", "cpu")
     hyper = stack([tiny(seed=0), tiny(seed=1)])
     state = changed(PROGRAMS.start(hyper))
     save_checkpoint(found.path / "checkpoints", 0, TrainingProgress(state, epoch=3))

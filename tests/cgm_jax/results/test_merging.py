@@ -45,11 +45,11 @@ def train(
     """Make the directory that training a part up to an epoch would leave."""
     pieces, shard = cut(groups, part, parts)
     with RunDirectory.claimed(path, fresh=True) as directory:
-        directory.write_config(pieces, "smoke", "1 x cpu", shard=shard)
+        directory.config.write(pieces, "smoke", "1 x cpu", shard=shard)
         all_rows = []
         for index, group in enumerate(pieces):
             own = [row(r, e, **values) for e in range(1, until + 1) for r in group.runs]
-            checkpoint(path / "checkpoints", index, own, until, directory.config_bytes())
+            checkpoint(path / "checkpoints", index, own, until, directory.config.read_bytes())
             all_rows += own
             for run in group.runs:
                 directory.write_policy(run, {"part": np.array(part)})
@@ -92,8 +92,8 @@ def test_merged_parts_are_one_sweep(parts: list[Path], tmp_path: Path) -> None:
     assert run(third, first, second, "--out", out) == 0
     directory = RunDirectory.open(out)
     names = [r.name for group in whole() for r in group.runs]
-    assert [r.name for group in directory.groups() for r in group.runs] == names
-    assert directory.shard() is None
+    assert [r.name for group in directory.config.groups() for r in group.runs] == names
+    assert directory.config.shard() is None
     assert rows(out) == [entry for part in parts for entry in rows(part)]
     assert len(rows(out)) == len(names) * EPOCHS
     for number, name in enumerate(names):
@@ -106,8 +106,8 @@ def test_merged_parts_are_one_sweep(parts: list[Path], tmp_path: Path) -> None:
     assert [path.name.partition("_")[0] for path in found] == [f"group{i}" for i in range(4)]
     assert [damage(path) for path in found] == [None] * 4  # the second part has two programs
     (out / "config.json").write_text("{")  # comes back from a checkpoint, whole
-    assert directory.restore_config() is not None
-    assert [r.name for group in directory.groups() for r in group.runs] == names
+    assert directory.config.restore() is not None
+    assert [r.name for group in directory.config.groups() for r in group.runs] == names
     assert not list(tmp_path.glob("new/.*"))
 
 
@@ -160,7 +160,7 @@ def test_what_is_not_all_parts_of_one_sweep_is_refused_by_name(
     again = train(tmp_path / "again", whole(), 1, 3)
     short = train(tmp_path / "short", whole(), 3, 3, until=1)
     with RunDirectory.claimed(tmp_path / "alone", fresh=True) as directory:
-        directory.write_config(whole(), "smoke", "1 x cpu")
+        directory.config.write(whole(), "smoke", "1 x cpu")
     for words, line in {
         (first, third): "part 2 of 3 missing: train with --shard 2/3",
         (third,): "parts 1, 2 of 3 missing",

@@ -42,7 +42,7 @@ BAD = {
 def test_a_policy_that_does_not_go_with_its_environment(complaint: str, tmp_path: Path) -> None:
     groups = build_groups("smoke", {"env": [ENV]})
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
-        directory.write_config(groups, "smoke", "cpu")
+        directory.config.write(groups, "smoke", "cpu")
     first, second = groups[0].runs
     directory.write_policy(first, policy())
     directory.write_policy(second, {k: np.asarray(v) for k, v in BAD[complaint].items()})

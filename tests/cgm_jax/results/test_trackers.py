@@ -118,7 +118,7 @@ def test_wandb_holds_each_epoch_once_over_the_parts_of_a_run(tmp_path: Path) -> 
     pytest.importorskip("wandb")
     track("wandb", tmp_path)
     folder = tmp_path / "tracking/wandb/wandb"
-    RunDirectory(tmp_path).restore_config()  # refuses links, of which wandb makes one
+    RunDirectory(tmp_path).config.restore()  # refuses links, of which wandb makes one
     parts = sorted(folder.glob("offline-run-*/*.wandb"))
     assert len(parts) == 7  # two runs in three processes, and the sweep
     steps: dict[str, list[int]] = {}

@@ -45,6 +45,6 @@ def test_every_committed_sweep_is_read(path: Path, monkeypatch: pytest.MonkeyPat
     written = json.loads(path.read_text())["groups"]
     for env in {run["env"] for group in written for run in group["runs"] if "env" in run}:
         name_now(absolute(env))
-    groups = RunDirectory(path.parent).groups()
+    groups = RunDirectory(path.parent).config.groups()
     names = [run["name"] for group in written for run in group["runs"]]
     assert sorted(run.name for group in groups for run in group.runs) == sorted(names)

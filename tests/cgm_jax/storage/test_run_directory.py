@@ -21,7 +21,7 @@ from tests.cgm_jax.sweeps import ROOT
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no checkout")
 def test_the_config_names_the_commit_that_trains(tmp_path: Path) -> None:
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     command = ["git", "-C", str(ROOT), "rev-parse", "HEAD"]
     head = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     commit = json.loads((tmp_path / CONFIG).read_text())["commit"]
@@ -36,7 +36,7 @@ from cgm_jax.config.grid import build_groups
 from cgm_jax.storage.run_directory import RunDirectory
 os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
 with RunDirectory.claimed(pathlib.Path(sys.argv[1]), fresh=True) as directory:
-    directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+    directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
 """
     subprocess.run([sys.executable, "-c", program, str(tmp_path)], check=True, cwd=ROOT)
     machine = json.loads((tmp_path / CONFIG).read_text())["machine"]
@@ -49,8 +49,8 @@ def test_what_has_changed_since_a_sweep_was_begun_is_named(
 ) -> None:
     groups = build_groups("smoke", {})
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
-        directory.write_config(groups, "smoke", "1 x cpu")
-    assert directory.changes_since_begun("1 x cpu", groups, {}) == []
+        directory.config.write(groups, "smoke", "1 x cpu")
+    assert directory.config.changes_since_begun("1 x cpu", groups, {}) == []
     config = json.loads((tmp_path / CONFIG).read_text())
     then = {
         "python": "2.7",
@@ -66,7 +66,7 @@ def test_what_has_changed_since_a_sweep_was_begun_is_named(
         if name.startswith("JAX_"):
             monkeypatch.delenv(name)
     monkeypatch.setenv("JAX_NOW", "x")
-    changes = directory.changes_since_begun("8 x gpu", groups, {})
+    changes = directory.config.changes_since_begun("8 x gpu", groups, {})
     assert changes == [
         f"jax 0.0.1 (now {now['versions']['jax']})",
         "JAX_NOW none (now x)",
@@ -77,19 +77,19 @@ def test_what_has_changed_since_a_sweep_was_begun_is_named(
         f"XLA_FLAGS --xla_fast (now {now['flags'] or 'none'})",
         f"another, 2 cores (now {now['machine']})",
     ]
-    directory.record_resumption(changes, {})
+    directory.config.record_resumption(changes, {})
     assert json.loads((tmp_path / CONFIG).read_text())["resumed"][0]["changed"] == changes
 
 
 def test_another_number_of_cores_changes_nothing(tmp_path: Path) -> None:
     groups = build_groups("smoke", {})
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
-        directory.write_config(groups, "smoke", "cpu")
+        directory.config.write(groups, "smoke", "cpu")
     config = json.loads((tmp_path / CONFIG).read_text())
     system = config["machine"].rpartition(", ")[0]
     config["machine"] = f"{system}, 3 of 4096 cores"
     (tmp_path / CONFIG).write_text(json.dumps(config))
-    assert directory.changes_since_begun("cpu", groups, {}) == []
+    assert directory.config.changes_since_begun("cpu", groups, {}) == []
 
 
 def own_sweep(tmp_path: Path) -> tuple[Path, RunDirectory]:
@@ -102,18 +102,18 @@ def own_sweep(tmp_path: Path) -> tuple[Path, RunDirectory]:
     name_now(f"{file}:Make")
     load_named("env", f"{file}:Make")
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(groups, "smoke", "cpu")
+        directory.config.write(groups, "smoke", "cpu")
     return file, directory
 
 
 def test_a_file_of_ones_own_that_has_changed_is_named(tmp_path: Path) -> None:
     file, directory = own_sweep(tmp_path)
-    groups = directory.groups()
-    assert directory.changes_since_begun("cpu", groups, {}) == []
+    groups = directory.config.groups()
+    assert directory.config.changes_since_begun("cpu", groups, {}) == []
     recorded = json.loads((directory.path / CONFIG).read_text())["files"]
     assert sorted(recorded) == [str(file.parent / "beside.py"), str(file)]
     (file.parent / "beside.py").write_text("X = 2\n")
-    (change,) = directory.changes_since_begun("cpu", groups, {})
+    (change,) = directory.config.changes_since_begun("cpu", groups, {})
     assert change.startswith(f"{file.parent / 'beside.py'} with SHA-256 ")
 
 
@@ -123,18 +123,18 @@ def test_a_file_of_ones_own_that_has_moved_is_named_again(tmp_path: Path) -> Non
     file.parent.rename(tmp_path / "moved")
     (tmp_path / "moved" / "env.py").rename(tmp_path / "moved" / "other.py")
     with pytest.raises(SettingError, match="if it has moved, name it: --env"):
-        directory.groups()
-    moved = directory.moved({"env": [new], "curriculum": []})
+        directory.config.groups()
+    moved = directory.config.moved({"env": [new], "curriculum": []})
     assert moved == {old: new}
     name_now(new)
-    groups = directory.groups(moved)
+    groups = directory.config.groups(moved)
     assert groups[0].settings.env == new
     load_named("env", new)
-    changes = directory.changes_since_begun("cpu", groups, moved)
+    changes = directory.config.changes_since_begun("cpu", groups, moved)
     assert changes == [f"{old} (now {new})"]
-    directory.record_resumption(changes, moved)
-    assert directory.moved({"env": [new]}) == {}
-    assert directory.changes_since_begun("cpu", directory.groups(), {}) == []
+    directory.config.record_resumption(changes, moved)
+    assert directory.config.moved({"env": [new]}) == {}
+    assert directory.config.changes_since_begun("cpu", directory.config.groups(), {}) == []
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_what_a_sweep_was_not_trained_with_cannot_be_named(
 ) -> None:
     _, directory = own_sweep(tmp_path)
     with pytest.raises(SettingError, match=f"^{kind}: .* was trained with .*, not {text}$"):
-        directory.moved({kind: [text]})
+        directory.config.moved({kind: [text]})
 
 
 NAMES = [
@@ -157,12 +157,12 @@ NAMES = [
 @pytest.mark.parametrize("name", NAMES)
 def test_names_of_runs_never_leave_the_directory(name: Any, tmp_path: Path) -> None:
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     config = json.loads((tmp_path / CONFIG).read_text())
     config["groups"][0]["runs"][0]["name"] = name
     (tmp_path / CONFIG).write_text(json.dumps(config))
     with pytest.raises(SettingError, match=r"config.json is damaged: run: .* is no name for a"):
-        directory.groups()
+        directory.config.groups()
 
 
 LINKS = [
@@ -175,7 +175,7 @@ LINKS = [
 def test_a_directory_with_a_link_is_neither_read_nor_written(link: str, tmp_path: Path) -> None:
     out, target = tmp_path / "out", tmp_path / "target"
     with RunDirectory.claimed(out, fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     target.write_bytes((out / CONFIG).read_bytes())
     if link == "policies":
         shutil.rmtree(out / link)
@@ -186,7 +186,7 @@ def test_a_directory_with_a_link_is_neither_read_nor_written(link: str, tmp_path
     with pytest.raises(SettingError, match=re.escape(complaint)):
         RunDirectory.open(out)
     with pytest.raises(SettingError, match=re.escape(complaint)):
-        RunDirectory(out).restore_config()
+        RunDirectory(out).config.restore()
     with (
         pytest.raises(SettingError, match=re.escape(complaint)),
         RunDirectory.claimed(out, fresh=False),
@@ -197,14 +197,14 @@ def test_a_directory_with_a_link_is_neither_read_nor_written(link: str, tmp_path
 
 def test_a_link_to_a_run_directory_is_fine(tmp_path: Path) -> None:
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     (tmp_path / "link").symlink_to(tmp_path / "out")
-    assert len(RunDirectory.open(tmp_path / "link").groups()[0].runs) == 2
+    assert len(RunDirectory.open(tmp_path / "link").config.groups()[0].runs) == 2
 
 
 def test_of_a_trackers_files_only_the_link_beside_wandbs_log_may_be_one(tmp_path: Path) -> None:
     with RunDirectory.claimed(tmp_path / "out", fresh=True) as directory:
-        directory.write_config(build_groups("smoke", {}), "smoke", "cpu")
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     logs = tmp_path / "out/tracking/wandb/wandb/offline-run-1/logs"
     logs.mkdir(parents=True)
     (logs / "debug-core.log").symlink_to(tmp_path / "log")
@@ -249,18 +249,18 @@ def test_hostile_configs_are_refused_in_one_line(text: str, tmp_path: Path) -> N
     (tmp_path / CONFIG).write_bytes(text.encode("latin-1"))
     directory = RunDirectory.open(tmp_path)
     for read in (
-        directory.groups,
-        lambda: directory.moved({"env": ["a.py:B"]}) or directory.groups(),
+        directory.config.groups,
+        lambda: directory.config.moved({"env": ["a.py:B"]}) or directory.config.groups(),
     ):
         with pytest.raises(SettingError) as caught:
             read()
         assert "\n" not in str(caught.value)
     with pytest.raises(SettingError, match=f"config.json is damaged: .*{CONFIGS[text]}"):
-        directory.groups()
+        directory.config.groups()
 
 
 def test_a_config_beyond_all_measure_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / CONFIG).open("wb") as file:
         file.truncate(2**30)
     with pytest.raises(SettingError, match="it has more than 268,435,456 bytes"):
-        RunDirectory.open(tmp_path).groups()
+        RunDirectory.open(tmp_path).config.groups()

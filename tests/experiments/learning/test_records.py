@@ -19,7 +19,7 @@ def trained(
     """A directory of two seeds, each of which got as far as its success rates go."""
     (group,) = build_groups("smoke", {"kappa": [4.0], "seed": [0, 1], "epochs": [5], **options})
     with RunDirectory.claimed(path, fresh=True) as directory:
-        directory.write_config(split(group, 1), "smoke", "cpu")
+        directory.config.write(split(group, 1), "smoke", "cpu")
     fixed = {"env": "reach", "c_g": 0.1, "kappa": 4.0, "her": True, "cgm": True, "wall_s": 1.5}
     fixed |= {"curriculum": "cgm", "agent": "ddpg"}
     fixed |= {"physics_warnings": 0.0, "failed_epoch": None, **metrics}
