@@ -12,7 +12,6 @@ from cgm_jax.config.grid import Group
 from cgm_jax.config.settings import Settings
 from cgm_jax.host import jobs, runner
 from cgm_jax.host.checkpoint import TrainingProgress
-from cgm_jax.host.pace import Pace
 from cgm_jax.loop import cutting
 from cgm_jax.loop.cutting import Parts
 from cgm_jax.storage.checkpoints import finished_checkpoints, position
@@ -69,22 +68,6 @@ def test_a_signal_in_the_middle_of_a_cycle_ends_with_all_of_it_that_is_done(
     assert len(rows(out)) == EPOCHS * RUNS
     assert_same_results(whole, out)
     assert not any(name.startswith(".unfinished.") for name in final_state(whole))
-
-
-@pytest.mark.parametrize(("seconds", "outlasts"), [(6.9, False), (7.1, True)])
-def test_of_updates_that_are_the_first_nothing_is_known_but_the_rollout_that_they_could_cost(
-    seconds: float, outlasts: bool
-) -> None:
-    job = jobs.Job(Group(Settings(cycles_per_epoch=1), ()), SimpleNamespace(), Parts(50, 20))  # pyright: ignore
-    training: Any = SimpleNamespace(cycle=0, part=50)
-    recorder: Any = SimpleNamespace(save_seconds=1.0, unsaved_seconds=lambda: 100.0)
-    pace = Pace()
-    pace.record("rollout", 50, seconds)
-    assert runner._may_outlast_patience(job, training, recorder, pace) is outlasts
-    pace.record_checkpoint()
-    assert not runner._may_outlast_patience(job, training, recorder, pace)
-    pace.record("updates", 2, 14.2)
-    assert runner._may_outlast_patience(job, training, recorder, pace)
 
 
 def test_what_comes_next_is_alike_until_it_ends() -> None:
