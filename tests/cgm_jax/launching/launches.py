@@ -14,6 +14,9 @@ from cgm_jax.launching.cores import Cores
 from cgm_jax.launching.record import events, position
 from tests.cgm_jax.sweeps import POINT_MASS, ROOT, assert_same_results, command, rows
 
+SMOKE = ["--", "--preset", "smoke"]
+"""The sweep of a launch that tests do not get to train."""
+
 EPOCHS = 400
 SWEEP = ["--preset", "smoke", "--env", POINT_MASS, "--epochs", str(EPOCHS), "--seeds", "2"]
 SWEEP += ["--side-by-side", "2", "--checkpoint-seconds", "1"]

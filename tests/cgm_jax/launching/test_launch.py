@@ -1,7 +1,6 @@
 """The command: what it refuses, what it takes for granted, and a whole launch on this machine."""
 
 import importlib.util
-import json
 import os
 import shutil
 import signal
@@ -13,19 +12,18 @@ from typing import Any
 import pytest
 
 from cgm_jax import launch as program
-from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.launching import check, local, ray, slurm
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.progress import JointProgress, Rows
-from cgm_jax.launching.record import append_event, fruitless_attempts, last_code, position
 from cgm_jax.launching.slurm import sbatch_options
 from cgm_jax.machine.allotment import MEMORY_VARIABLE
 from cgm_jax.storage.lock import InUseError, locked
 from cgm_jax.storage.metrics import to_lines
 from tests.cgm_jax.launching.launches import (
+    SMOKE,
     assert_as_if_never_disturbed,
     attempts,
     begun,
@@ -35,19 +33,7 @@ from tests.cgm_jax.launching.launches import (
     wait_for_checkpoint,
     wait_until,
 )
-from tests.cgm_jax.sweeps import POINT_MASS, ROOT, rows
-
-SMOKE = ["--", "--preset", "smoke"]
-MY_TRACKER = ROOT / "tests/examples/my_tracker.py"
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory."""
-    folder = tmp_path / "work"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
+from tests.cgm_jax.sweeps import POINT_MASS, rows
 
 
 @pytest.mark.parametrize(
@@ -148,20 +134,6 @@ def test_unknown_options_end_with_one_line(
     assert not list(folder.iterdir())
 
 
-@pytest.fixture
-def planned(monkeypatch: pytest.MonkeyPatch) -> list[Launch]:
-    """Launches that would have been run."""
-    found: list[Launch] = []
-
-    def run(launch: Launch, *_: Any) -> int:
-        found.append(launch)
-        return 0
-
-    monkeypatch.setattr(program, "_run", run)
-    monkeypatch.setattr(program, "check_sweep", lambda *_, **__: None)
-    return found
-
-
 def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
     folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,168 +161,6 @@ def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
         program.main(["--jobs", "2", "--out", "../out", *SMOKE])
     monkeypatch.chdir(folder)
     assert program.main(["--jobs", "6", "--out", "out", *words]) == 0  # the same command again
-
-
-def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
-    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = folder / "ran"
-    (folder / "x.py").write_text(
-        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n"
-        "from launched_point import PointMass\n"
-    )
-    shutil.copy(POINT_MASS.partition(":")[0], "launched_point.py")
-    own = f"{folder}/x.py:PointMass"
-    theirs = Launch(folder / "out", "local", 2, "smoke", ("--env", own), Resources())
-    theirs.path.mkdir()
-    theirs.write()
-    with pytest.raises(SettingError, match=r"was never named by you .* name it: --env"):
-        program.main(["--resume", "out"])
-    assert not ran.exists()
-    assert program.main(["--resume", "out", "--", "--env", own]) == 0
-    assert ran.exists()
-    monkeypatch.setattr(named, "_named_now", set())  # as in a new process
-    assert program.main(["--resume", "out"]) == 0
-    (folder / "x.py").write_text("edited = True\n")
-    monkeypatch.setattr(named, "_named_now", set())
-    with pytest.raises(SettingError, match="has changed since you named it"):
-        program.main(["--resume", "out"])
-    assert len(planned) == 2
-
-
-def test_a_launch_from_elsewhere_runs_no_tracker_that_was_not_named(
-    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran, tracker = folder / "ran", folder / "elsewhere_tracker.py"
-    tracker.write_text(
-        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n{MY_TRACKER.read_text()}"
-    )
-    own = f"{tracker}:TextFile"
-    theirs = Launch(folder / "out", "local", 2, "smoke", ("--track", own), Resources())
-    theirs.path.mkdir()
-    theirs.write()
-    with pytest.raises(SettingError, match=r"^track: .* was never named by you .* --track"):
-        program.main(["--resume", "out"])
-    assert not ran.exists()
-    assert program.main(["--resume", "out", "--", "--track", own]) == 0
-    assert ran.exists()
-    monkeypatch.setattr(named, "_named_now", set())  # as in a new process
-    assert program.main(["--resume", "out"]) == 0
-    assert len(planned) == 2
-
-
-def test_a_neighbour_of_a_named_file_does_not_run_for_a_launch_once_it_was_edited(
-    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shutil.copy(POINT_MASS.partition(":")[0], "launched_neighbour.py")
-    (folder / "x.py").write_text("from launched_neighbour import PointMass\n")
-    words = [*SMOKE, "--env", f"{folder}/x.py:PointMass"]
-    assert program.main(["--jobs", "2", "--out", "out", *words]) == 0
-    (folder / "launched_neighbour.py").write_text("raise RuntimeError('it runs')\n")
-    monkeypatch.setattr(named, "_named_now", set())
-    with pytest.raises(SettingError, match=r"launched_neighbour.py has changed since you named"):
-        program.main(["--resume", "out"])
-    assert len(planned) == 1
-
-
-def test_a_launch_from_elsewhere_connects_to_no_cluster_that_was_not_named(
-    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    address = "ray://elsewhere:10001"
-    theirs = Launch(folder / "out", "ray", 2, "smoke", (), Resources(address=address))
-    theirs.path.mkdir()
-    theirs.write()
-    with pytest.raises(SettingError, match=f"address: .* if you trust it, .*--address {address}"):
-        program.main(["--resume", "out"])
-    monkeypatch.setattr(program, "_engine", lambda launch: None)
-    assert program.main(["--resume", "out", "--address", address]) == 0
-    assert planned[0].resources.address == address
-    assert program._how_to_resume(planned[0]).endswith(f"/out --address {address}")
-
-
-@pytest.mark.parametrize("part", ["attempts/1.jsonl", "logs/1.log", "parts", "launch.json"])
-def test_no_link_in_a_launch_leads_out_of_it(
-    part: str, folder: Path, planned: list[Launch]
-) -> None:
-    launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
-    launch.path.mkdir()
-    launch.write()
-    link, target = launch.path / part, folder / "theirs"
-    if link.exists():
-        link.rename(target)
-    link.symlink_to(target)
-    with pytest.raises(SettingError, match=f"{part} is a symbolic link"):
-        program.main(["--resume", "out"])
-    assert not planned
-
-
-ROWS = {
-    "": "it has no row",
-    "5\n": "TypeError",
-    "{}\n": "KeyError: 'run'",
-    "[" * 10**5 + "\n": "RecursionError",
-    '{"run": "a", "epoch": 1, "success_rate": "high"}\n': "success_rate: 'high' in a row",
-}
-
-
-@pytest.mark.parametrize("text", ROWS)
-def test_a_merged_launch_with_damaged_metrics_is_refused(folder: Path, text: str) -> None:
-    launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
-    launch.path.mkdir()
-    launch.write()
-    (launch.path / "config.json").write_text("{}")
-    (launch.path / "metrics.jsonl").write_text(text)
-    with pytest.raises(SettingError, match=f"metrics.jsonl is damaged: .*{ROWS[text]}"):
-        program.main(["--resume", "out"])
-
-
-def test_attempts_that_end_within_one_long_cycle_come_further(folder: Path) -> None:
-    (folder / "checkpoints").mkdir()
-    record = folder / "record"
-    for part in (7, 19):
-        append_event(record, "started", position=position(folder))
-        assert fruitless_attempts(record, folder) == 1
-        name = f"group0_epoch000000_cycle000000_part{part:06d}.json"
-        (folder / "checkpoints" / name).touch()
-        assert position(folder) == [0, 0, 0, part]
-        assert fruitless_attempts(record, folder) == 0
-    (folder / "checkpoints" / "group0_epoch000000_cycle000001.json").touch()
-    assert position(folder) == [0, 0, 1, 0]
-
-
-def test_what_is_no_checkpoint_or_no_event_is_passed_over(folder: Path) -> None:
-    (folder / "checkpoints").mkdir()
-    for name in ("group0_epochx_cycley", "group0_epoch000001_cycle000002", f"group{'9' * 5000}"):
-        (folder / "checkpoints" / f"{name[:200]}.json").touch()
-    assert position(folder) == [0, 1, 2, 0]
-    record = folder / "record"
-    record.write_text('{"event": "ended", "code": "high"}\n' + "[" * 10**5 + "\n")
-    assert last_code(record) is None
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"format": 9},
-        {"parts": "2"},
-        {"sweep": "abc", "parts": None},
-        {"resources": {}},
-        {"on": "pbs"},
-        {"parts": 10**9},
-        {"sweep": [1]},
-    ],
-)
-def test_a_damaged_launch_is_refused(
-    folder: Path, planned: list[Launch], change: dict[str, Any]
-) -> None:
-    launch = Launch(folder / "out", "local", 2, "smoke", ("--preset", "smoke"), Resources())
-    launch.path.mkdir()
-    launch.write()
-    path = launch.path / "launch.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
-    with pytest.raises(SettingError, match=r"launch.json is damaged"):
-        program.main(["--resume", "out"])
-    assert not planned
 
 
 def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:

@@ -1,0 +1,157 @@
+"""What a directory of a launch may hold that comes from somebody else."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgm_jax import launch as program
+from cgm_jax.config import named
+from cgm_jax.config.fields import SettingError
+from cgm_jax.launching.directory import Launch, Resources
+from tests.cgm_jax.launching.launches import (
+    SMOKE,
+)
+from tests.cgm_jax.sweeps import POINT_MASS, ROOT
+
+MY_TRACKER = ROOT / "tests/examples/my_tracker.py"
+
+
+def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = folder / "ran"
+    (folder / "x.py").write_text(
+        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n"
+        "from launched_point import PointMass\n"
+    )
+    shutil.copy(POINT_MASS.partition(":")[0], "launched_point.py")
+    own = f"{folder}/x.py:PointMass"
+    theirs = Launch(folder / "out", "local", 2, "smoke", ("--env", own), Resources())
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=r"was never named by you .* name it: --env"):
+        program.main(["--resume", "out"])
+    assert not ran.exists()
+    assert program.main(["--resume", "out", "--", "--env", own]) == 0
+    assert ran.exists()
+    monkeypatch.setattr(named, "_named_now", set())  # as in a new process
+    assert program.main(["--resume", "out"]) == 0
+    (folder / "x.py").write_text("edited = True\n")
+    monkeypatch.setattr(named, "_named_now", set())
+    with pytest.raises(SettingError, match="has changed since you named it"):
+        program.main(["--resume", "out"])
+    assert len(planned) == 2
+
+
+def test_a_launch_from_elsewhere_runs_no_tracker_that_was_not_named(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran, tracker = folder / "ran", folder / "elsewhere_tracker.py"
+    tracker.write_text(
+        f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n{MY_TRACKER.read_text()}"
+    )
+    own = f"{tracker}:TextFile"
+    theirs = Launch(folder / "out", "local", 2, "smoke", ("--track", own), Resources())
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=r"^track: .* was never named by you .* --track"):
+        program.main(["--resume", "out"])
+    assert not ran.exists()
+    assert program.main(["--resume", "out", "--", "--track", own]) == 0
+    assert ran.exists()
+    monkeypatch.setattr(named, "_named_now", set())  # as in a new process
+    assert program.main(["--resume", "out"]) == 0
+    assert len(planned) == 2
+
+
+def test_a_neighbour_of_a_named_file_does_not_run_for_a_launch_once_it_was_edited(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(POINT_MASS.partition(":")[0], "launched_neighbour.py")
+    (folder / "x.py").write_text("from launched_neighbour import PointMass\n")
+    words = [*SMOKE, "--env", f"{folder}/x.py:PointMass"]
+    assert program.main(["--jobs", "2", "--out", "out", *words]) == 0
+    (folder / "launched_neighbour.py").write_text("raise RuntimeError('it runs')\n")
+    monkeypatch.setattr(named, "_named_now", set())
+    with pytest.raises(SettingError, match=r"launched_neighbour.py has changed since you named"):
+        program.main(["--resume", "out"])
+    assert len(planned) == 1
+
+
+def test_a_launch_from_elsewhere_connects_to_no_cluster_that_was_not_named(
+    folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = "ray://elsewhere:10001"
+    theirs = Launch(folder / "out", "ray", 2, "smoke", (), Resources(address=address))
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=f"address: .* if you trust it, .*--address {address}"):
+        program.main(["--resume", "out"])
+    monkeypatch.setattr(program, "_engine", lambda launch: None)
+    assert program.main(["--resume", "out", "--address", address]) == 0
+    assert planned[0].resources.address == address
+    assert program._how_to_resume(planned[0]).endswith(f"/out --address {address}")
+
+
+@pytest.mark.parametrize("part", ["attempts/1.jsonl", "logs/1.log", "parts", "launch.json"])
+def test_no_link_in_a_launch_leads_out_of_it(
+    part: str, folder: Path, planned: list[Launch]
+) -> None:
+    launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
+    launch.path.mkdir()
+    launch.write()
+    link, target = launch.path / part, folder / "theirs"
+    if link.exists():
+        link.rename(target)
+    link.symlink_to(target)
+    with pytest.raises(SettingError, match=f"{part} is a symbolic link"):
+        program.main(["--resume", "out"])
+    assert not planned
+
+
+ROWS = {
+    "": "it has no row",
+    "5\n": "TypeError",
+    "{}\n": "KeyError: 'run'",
+    "[" * 10**5 + "\n": "RecursionError",
+    '{"run": "a", "epoch": 1, "success_rate": "high"}\n': "success_rate: 'high' in a row",
+}
+
+
+@pytest.mark.parametrize("text", ROWS)
+def test_a_merged_launch_with_damaged_metrics_is_refused(folder: Path, text: str) -> None:
+    launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
+    launch.path.mkdir()
+    launch.write()
+    (launch.path / "config.json").write_text("{}")
+    (launch.path / "metrics.jsonl").write_text(text)
+    with pytest.raises(SettingError, match=f"metrics.jsonl is damaged: .*{ROWS[text]}"):
+        program.main(["--resume", "out"])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"format": 9},
+        {"parts": "2"},
+        {"sweep": "abc", "parts": None},
+        {"resources": {}},
+        {"on": "pbs"},
+        {"parts": 10**9},
+        {"sweep": [1]},
+    ],
+)
+def test_a_damaged_launch_is_refused(
+    folder: Path, planned: list[Launch], change: dict[str, Any]
+) -> None:
+    launch = Launch(folder / "out", "local", 2, "smoke", ("--preset", "smoke"), Resources())
+    launch.path.mkdir()
+    launch.write()
+    path = launch.path / "launch.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(SettingError, match=r"launch.json is damaged"):
+        program.main(["--resume", "out"])
+    assert not planned
