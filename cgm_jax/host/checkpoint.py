@@ -236,7 +236,8 @@ def _check_shapes(path: Path, like: TrainingState) -> None:
     within = any(name.startswith(UNFINISHED) for name in stored)
     if within and not any(name.startswith(UNFINISHED) for name in expected):
         raise SettingError(
-            f"resume: {path} was stopped in the middle of a cycle, which only a CPU can go on with"
+            f"resume: {path} was stopped in the middle of a cycle that was cut, as on a CPU long "
+            "ones are; here they are whole"
         )
     if not within:
         expected = {name: x for name, x in expected.items() if not name.startswith(UNFINISHED)}

@@ -112,7 +112,7 @@ def _begin(
             check_rows(training.rows, names, training.epoch)
             training.rows = _renamed(training.rows, job.group)
             if not 0 <= training.part < job.parts.total:
-                raise ValueError(f"part {training.part} of cycles of {job.parts.total}")
+                raise ValueError(f"{training.part} parts of a cycle of {job.parts.total}")
         except (KeyError, ValueError) as error:
             raise SettingError(f"resume: a checkpoint is one of other runs: {error}") from None
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"

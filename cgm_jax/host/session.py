@@ -182,7 +182,7 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
     Args:
         out: the directory.
         asked: what is asked for.
-        moved: environments that have been named again, see `RunDirectory.moved`.
+        moved: environments that have been named again, see `SweepConfig.moved`.
 
     Returns:
         Its groups; None if it is new.

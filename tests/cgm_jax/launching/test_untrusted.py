@@ -11,9 +11,7 @@ from cgm_jax import launch as program
 from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.launching.directory import Launch, Resources
-from tests.cgm_jax.launching.launches import (
-    SMOKE,
-)
+from tests.cgm_jax.launching.launches import SMOKE
 from tests.cgm_jax.sweeps import POINT_MASS, ROOT
 
 MY_TRACKER = ROOT / "tests/examples/my_tracker.py"
