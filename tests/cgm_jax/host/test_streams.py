@@ -109,7 +109,8 @@ from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.progress import SweepProgress
 with Interruption(), SweepProgress(10) as progress:
     row = {"run": "a" * 100, "success_rate": 0.5, "env_steps": 10**9}
-    progress.advance(1, 100, 1.0)
+    progress.advance(1)
+    progress.show_speed(100, 1.0)
     progress.epoch(1, [row])
     time.sleep(1)  # until it is drawn
     os.write(1, b"ready\\n")
