@@ -224,6 +224,7 @@ def test_a_device_that_does_not_cut_goes_on_between_cycles_but_not_within_one(
         load_checkpoint(tmp_path, 0, like)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cut_small")
 @pytest.mark.parametrize(
     "values",
