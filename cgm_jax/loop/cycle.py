@@ -1,6 +1,7 @@
 """A cycle: choose goals, roll out, store, learn."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -10,13 +11,15 @@ from cgm_jax.curricula.parts.masks import mask_indices
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
 from cgm_jax.loop.inputs import network_inputs
-from cgm_jax.loop.learning import learn
+from cgm_jax.loop.learning import learn, learn_part, parts_of_updates
 from cgm_jax.loop.normaliser import observe
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup
 from cgm_jax.loop.state import EpochStatistics, TrainingState
 from cgm_jax.replay.future import moved_goal
 from cgm_jax.replay.ring import insert, size
+
+Result = TypeVar("Result")
 
 
 class Plan(NamedTuple):
@@ -43,16 +46,17 @@ class Plan(NamedTuple):
 def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
     """Choose goals, roll out, store, and update the networks."""
     planned = plan(setup, state, hyper)
-    rollout = roll_out(
-        setup.env,
-        training_policy(setup, state, hyper, planned.goals),
-        planned.first,
-        planned.goals,
-        planned.exploration,
-        visit_key=planned.visit_key,
-    )
+    rollout = carry_out(setup, state, hyper, planned, roll_out)
     state = store(setup, state, hyper, rollout).replace(key=planned.key)
-    return learn(setup, state, hyper, planned.draw_key, planned.agent_key)
+    keys = planned.draw_key, planned.agent_key
+    if not setup.is_cut:
+        return learn(setup, state, hyper, *keys)
+    return jax.lax.fori_loop(
+        0,
+        parts_of_updates(setup, hyper),
+        lambda index, state: learn_part(setup, state, hyper, *keys, index),
+        state,
+    )
 
 
 def plan(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Plan:
@@ -77,6 +81,24 @@ def plan(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Plan:
         exploration = exploration.replace(key=jax.random.split(act_key, env.episode_length))
     visit_key = visit_key if curriculum.wants_visited else None
     return Plan(key, first, goals, exploration, visit_key, draw_key, agent_key)
+
+
+def carry_out(
+    setup: Setup,
+    state: TrainingState,
+    hyper: Hyperparameters,
+    planned: Plan,
+    roll: Callable[..., Result],
+) -> Result:
+    """What `roll_out` or `begin_rollout` makes of a plan and the agent as it is."""
+    return roll(
+        setup.env,
+        training_policy(setup, state, hyper, planned.goals),
+        planned.first,
+        planned.goals,
+        planned.exploration,
+        visit_key=planned.visit_key,
+    )
 
 
 def store(

@@ -68,6 +68,33 @@ def learn(
     )
 
 
+def parts_of_updates(setup: Setup, hyper: Hyperparameters) -> int:
+    """In how many parts the updates of a cycle come."""
+    return setup.settings.updates_per_cycle // sizes(setup, hyper).updates_at_once
+
+
+def learn_part(
+    setup: Setup,
+    state: TrainingState,
+    hyper: Hyperparameters,
+    draw_key: jax.Array,
+    agent_key: jax.Array,
+    index: int | jax.Array,
+) -> TrainingState:
+    """Part `index` of a cycle's updates, whose minibatches are drawn for it alone.
+
+    Args:
+        setup: the environment and the static settings.
+        state: of the run.
+        hyper: of the run.
+        draw_key: for the minibatches of all parts.
+        agent_key: for what the agent draws in all parts.
+        index: of the part.
+    """
+    keys = (jax.random.fold_in(key, index) for key in (draw_key, agent_key))
+    return learn(setup, state, hyper, *keys)
+
+
 def _train(agent: Any, state: Any, batches: Minibatch, key: jax.Array) -> Any:
     return agent.train(state, batches, key)
 

@@ -14,10 +14,10 @@ from flax import struct
 
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.cutting import WHOLE, Parts
-from cgm_jax.loop.cycle import cycle, plan, store, training_policy
-from cgm_jax.loop.learning import learn
+from cgm_jax.loop.cycle import carry_out, cycle, plan, store, training_policy
+from cgm_jax.loop.learning import learn_part, parts_of_updates
 from cgm_jax.loop.rollout import PartialRollout, begin_rollout, finish_rollout, step_rollout
-from cgm_jax.loop.setup import Setup, init_state, sizes
+from cgm_jax.loop.setup import Setup, init_state
 from cgm_jax.loop.state import TrainingState
 
 Tree = TypeVar("Tree")
@@ -44,8 +44,7 @@ def parts_of_cycle(setup: Setup, hyper: Hyperparameters) -> Parts:
         return WHOLE
     whole = getattr(setup.env, "states_are_whole", True)  # a hosted environment's are not
     rollout = setup.env.episode_length if whole else 1
-    updates = setup.settings.updates_per_cycle // sizes(setup, hyper).updates_at_once
-    return Parts(rollout, updates)
+    return Parts(rollout, parts_of_updates(setup, hyper))
 
 
 def init_run(setup: Setup, hyper: Hyperparameters) -> TrainingState:
@@ -85,25 +84,12 @@ def train_part(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Tr
     )
     state = _if(
         done >= parts.rollout,
-        partial(_learn_on, setup, hyper, unfinished, done - parts.rollout),
+        lambda state: learn_part(
+            setup, state, hyper, unfinished.draw_key, unfinished.agent_key, done - parts.rollout
+        ),
         state,
     )
     return state.replace(unfinished=unfinished)
-
-
-def train_cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
-    """A cycle from its beginning to its end, part by part where it is cut."""
-    if not setup.is_cut:
-        return cycle(setup, state, hyper)
-    parts = parts_of_cycle(setup, hyper)
-    key, unfinished = _begin(setup, hyper, state)
-    rollout = jax.lax.fori_loop(
-        0, parts.rollout, partial(_roll_on, setup, state, hyper, parts), unfinished.rollout
-    )
-    state = state.replace(key=key, unfinished=None)
-    state = store(setup, state, hyper, finish_rollout(setup.env, rollout))
-    state = jax.lax.fori_loop(0, parts.updates, partial(_learn_on, setup, hyper, unfinished), state)
-    return state.replace(unfinished=unfinished.replace(rollout=rollout))
 
 
 def _begin(
@@ -111,14 +97,7 @@ def _begin(
 ) -> tuple[jax.Array, Unfinished]:
     """Plan a cycle: the key that is left, and a cycle of which nothing is done."""
     planned = plan(setup, state, hyper)
-    rollout = begin_rollout(
-        setup.env,
-        training_policy(setup, state, hyper, planned.goals),
-        planned.first,
-        planned.goals,
-        planned.exploration,
-        visit_key=planned.visit_key,
-    )
+    rollout = carry_out(setup, state, hyper, planned, begin_rollout)
     done = jnp.zeros((), jnp.int32)
     return planned.key, Unfinished(done, rollout, planned.draw_key, planned.agent_key)
 
@@ -140,19 +119,6 @@ def _roll_on(
         lambda index, rollout: step_rollout(setup.env, policy, rollout, index),
         rollout,
     )
-
-
-def _learn_on(
-    setup: Setup,
-    hyper: Hyperparameters,
-    unfinished: Unfinished,
-    index: jax.Array,
-    state: TrainingState,
-) -> TrainingState:
-    """The updates of a part, whose minibatches are drawn for it alone."""
-    draw_key = jax.random.fold_in(unfinished.draw_key, index)
-    agent_key = jax.random.fold_in(unfinished.agent_key, index)
-    return learn(setup, state, hyper, draw_key, agent_key)
 
 
 def _if(condition: jax.Array, function: Callable[[Tree], Tree], tree: Tree) -> Tree:

@@ -17,6 +17,7 @@ import jax
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cutting import Parts
+from cgm_jax.loop.cycle import cycle
 from cgm_jax.loop.devices import (
     ON_EACH,
     SPREAD,
@@ -29,7 +30,7 @@ from cgm_jax.loop.devices import (
 )
 from cgm_jax.loop.evaluation import Metrics, evaluate
 from cgm_jax.loop.in_turn import in_place, in_turn
-from cgm_jax.loop.parts import init_run, parts_of_cycle, train_cycle, train_part
+from cgm_jax.loop.parts import init_run, parts_of_cycle, train_part
 from cgm_jax.loop.setup import Setup, make_setup
 from cgm_jax.loop.state import TrainingState
 
@@ -90,7 +91,7 @@ def epoch(
 ) -> tuple[TrainingState, Metrics]:
     """One epoch, between which no cycle is unfinished: `cycles_per_epoch` cycles, an evaluation."""
     state = jax.lax.fori_loop(
-        0, setup.settings.cycles_per_epoch, lambda _, state: train_cycle(setup, state, hyper), state
+        0, setup.settings.cycles_per_epoch, lambda _, state: cycle(setup, state, hyper), state
     )
     return evaluate(setup, state, hyper)
 

@@ -14,16 +14,12 @@ from cgm_jax import envs
 from cgm_jax.config.components import builtin
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.config.settings import Settings
 from cgm_jax.envs.hosted.task import HostedTask
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop import cutting
 from cgm_jax.loop.cutting import WHOLE, Parts, is_cut, updates_at_once
-from cgm_jax.loop.cycle import plan, store, training_policy
-from cgm_jax.loop.learning import learn
-from cgm_jax.loop.rollout import roll_out
-from cgm_jax.loop.setup import Setup
-from cgm_jax.loop.state import TrainingState
+from cgm_jax.loop.cycle import cycle
 from cgm_jax.loop.training import Trainer, make_programs, make_trainer
 from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.protocols import assert_same
@@ -116,26 +112,6 @@ def test_preset_gpu_is_cut_on_a_cpu_as_its_agent_can_be() -> None:
         assert (state.unfinished is None) is (parts == WHOLE)
 
 
-def by_hand(
-    setup: Setup, state: TrainingState, hyper: Hyperparameters, blocks: int
-) -> TrainingState:
-    """A cycle whose rollout is whole, and whose updates come in blocks."""
-    planned = plan(setup, state, hyper)
-    rollout = roll_out(
-        setup.env,
-        training_policy(setup, state, hyper, planned.goals),
-        planned.first,
-        planned.goals,
-        planned.exploration,
-        visit_key=planned.visit_key,
-    )
-    state = store(setup, state, hyper, rollout).replace(key=planned.key)
-    for index in range(blocks):
-        keys = (jax.random.fold_in(key, index) for key in (planned.draw_key, planned.agent_key))
-        state = learn(setup, state, hyper, *keys)
-    return state
-
-
 CASES = {
     "ddpg and cgm": (PointMass(), tiny()),
     "sac and starts": (PointMass(), tiny(agent="sac", curriculum="starts")),
@@ -159,7 +135,7 @@ def test_a_cycle_in_parts_is_a_rollout_and_its_updates(case: str) -> None:
     after = train(train(halfway, hyper, 1), hyper, parts.total)  # far into the next cycle
     after = train(after, hyper, parts.total - parts.rollout - 1)
     assert int(after.unfinished.done) == 0
-    reference = jax.jit(lambda state: by_hand(trainer.setup, state, hyper, blocks=2))
+    reference = jax.jit(lambda state: cycle(trainer.setup, state, hyper))
     expected = reference(reference(start))
     assert int(after.updates) == int(expected.updates) == 2 * TINY.updates_per_cycle
     assert_close(after.replace(unfinished=None), expected.replace(unfinished=None))
