@@ -49,18 +49,17 @@ def signalled(
         [sys.executable, "-c", program],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
+        bufsize=0,  # what is read ahead of the first line, `communicate` would not see
         cwd=ROOT,
     ) as process:
         assert process.stdout is not None
-        assert process.stderr is not None
-        assert process.stdout.readline() == "ready\n"
+        assert process.stdout.readline() == b"ready\n"
         began = time.monotonic()
         for number in numbers:
             process.send_signal(number)
             time.sleep(0.3)
         out, error = process.communicate(timeout=30)
-        return process.returncode, out, error, time.monotonic() - began
+        return process.returncode, out.decode(), error.decode(), time.monotonic() - began
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, *WARNINGS])
