@@ -80,10 +80,14 @@ def spread(team: Team, tree: Tree) -> Tree:
 
 def _spread(team: Team, leaf: Any) -> jax.Array:
     leaf = leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf)
-    missing = team.each(len(leaf)) * team.mesh.size - len(leaf)
-    if missing:
-        leaf = jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)])
-    return jax.device_put(leaf, NamedSharding(team.mesh, SPREAD))
+    rows = team.each(len(leaf)) * team.mesh.size
+    return jax.device_put(_filled_up(leaf, rows), NamedSharding(team.mesh, SPREAD))
+
+
+def _filled_up(leaf: jax.Array, rows: int) -> jax.Array:
+    """As many rows, those left over as the last one."""
+    missing = rows - len(leaf)
+    return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]) if missing else leaf
 
 
 def spread_shapes(team: Team, tree: Tree) -> Tree:
@@ -115,5 +119,10 @@ def own_rows(team: Team, tree: Tree) -> tuple[Tree, jax.Array]:
     runs = len(jax.tree.leaves(tree)[0])
     each = team.each(runs)
     first = jax.lax.axis_index(RUNS) * each
-    rows = jnp.minimum(first + jnp.arange(each), runs - 1)
-    return jax.tree.map(lambda leaf: leaf[rows], tree), jnp.clip(runs - first, 0, each)
+    rows = jax.tree.map(
+        lambda leaf: jax.lax.dynamic_slice_in_dim(
+            _filled_up(leaf, each * team.size), first, each, allow_negative_indices=False
+        ),
+        tree,
+    )
+    return rows, jnp.clip(runs - first, 0, each)

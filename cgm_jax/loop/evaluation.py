@@ -1,5 +1,7 @@
 """The end of an epoch: noise-free episodes, and what metrics.jsonl is to hold."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -25,6 +27,14 @@ def evaluate(
     metrics.jsonl holds. What the curriculum reports is what the epoch was trained with, so before
     this evaluation. Evaluation steps do not count as `env_steps`.
     """
+    changed, metrics = evaluated(setup, state, hyper)
+    return state.replace(**changed), metrics
+
+
+def evaluated(
+    setup: Setup, state: TrainingState, hyper: Hyperparameters
+) -> tuple[dict[str, Any], Metrics]:
+    """Like `evaluate`, but of the state only the fields that change, by their names."""
     key, reset_key, examination_key = jax.random.split(state.key, 3)
     first = reset(setup.env, reset_key, setup.settings.evaluation_episodes)
     goals = drawn_goals(setup.env, first)
@@ -49,11 +59,12 @@ def evaluate(
         "physics_warnings": state.statistics.physics_warnings + broken,
         "failure": state.failure,
     }
-    return state.replace(
-        key=key,
-        curriculum=hyper.curriculum.after_evaluation(state.curriculum, outcomes, examined),
-        statistics=init_statistics(setup.masks, hyper.agent.logged),
-    ), metrics
+    changed = {
+        "key": key,
+        "curriculum": hyper.curriculum.after_evaluation(state.curriculum, outcomes, examined),
+        "statistics": init_statistics(setup.masks, hyper.agent.logged),
+    }
+    return changed, metrics
 
 
 def final_policy(

@@ -67,11 +67,18 @@ def _apart(index: jax.Array, function: Callable[..., Any], *arguments: Any) -> A
 
 def _row(tree: Tree, index: jax.Array | int) -> Tree:
     return jax.tree.map(
-        lambda leaf: jax.lax.dynamic_index_in_dim(leaf, index, keepdims=False), tree
+        lambda leaf: jax.lax.dynamic_index_in_dim(
+            leaf, index, keepdims=False, allow_negative_indices=False
+        ),
+        tree,
     )
 
 
 def _with_row(tree: Tree, index: jax.Array, row: Tree) -> Tree:
     return jax.tree.map(
-        lambda leaf, new: jax.lax.dynamic_update_index_in_dim(leaf, new, index, 0), tree, row
+        lambda leaf, new: jax.lax.dynamic_update_index_in_dim(
+            leaf, new, index, 0, allow_negative_indices=False
+        ),
+        tree,
+        row,
     )

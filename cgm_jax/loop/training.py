@@ -28,7 +28,8 @@ from cgm_jax.loop.devices import (
     spread_shapes,
     team_of,
 )
-from cgm_jax.loop.evaluation import Metrics, evaluate
+from cgm_jax.loop.environment import compiles_physics
+from cgm_jax.loop.evaluation import Metrics, evaluate, evaluated
 from cgm_jax.loop.in_turn import in_place, in_turn
 from cgm_jax.loop.parts import init_run, parts_of_cycle, train_part
 from cgm_jax.loop.setup import Setup, make_setup
@@ -96,6 +97,12 @@ def epoch(
     return evaluate(setup, state, hyper)
 
 
+SELDOM_RUN = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+"""XLA's options for what a CPU runs seldom: it compiles in less than half the time, and runs no
+slower where physics and matrix products, which are libraries, take all of it.
+"""
+
+
 class Programs(NamedTuple):
     """A trainer's functions, jitted, over a leading axis of runs that devices share.
 
@@ -140,18 +147,23 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
 
     def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
         own, count = own_rows(team, hyper)
-        one = partial(_evaluate_without_replay, trainer)
-        after, metrics = _over_rows(on_cpu, one, count)(states, own)
-        return after.replace(replay=states.replay, unfinished=states.unfinished), metrics
+        one = partial(evaluated, trainer.setup)  # the rest would be copied for nothing
+        changed, metrics = _over_rows(on_cpu, one, count)(states, own)
+        return states.replace(**changed), metrics
 
-    starting = jax.jit(on_each(team, start, ON_EACH))
+    seldom = SELDOM_RUN if on_cpu else None
+    starting = jax.jit(on_each(team, start, ON_EACH), compiler_options=seldom)
     return Programs(
         trainer=trainer,
         spread=partial(spread, team),
         shapes=lambda hyper: spread_shapes(team, jax.eval_shape(starting, hyper)),
         start=starting,
         train=jax.jit(on_each(team, train, SPREAD, ON_EACH, ON_EACH), donate_argnums=0),
-        evaluate=jax.jit(on_each(team, evaluate, SPREAD, ON_EACH), donate_argnums=0),
+        evaluate=jax.jit(
+            on_each(team, evaluate, SPREAD, ON_EACH),
+            donate_argnums=0,
+            compiler_options=None if compiles_physics(trainer.setup.env) else seldom,
+        ),
     )
 
 
@@ -163,11 +175,3 @@ def _train_for(
     trainer: Trainer, units: jax.Array, state: TrainingState, hyper: Hyperparameters
 ) -> TrainingState:
     return trainer.train(state, hyper, units)
-
-
-def _evaluate_without_replay(
-    trainer: Trainer, state: TrainingState, hyper: Hyperparameters
-) -> tuple[TrainingState, Metrics]:
-    """Evaluation leaves alone what is too large to be copied for nothing."""
-    state, metrics = trainer.evaluate(state, hyper)
-    return state.replace(replay=None, unfinished=None), metrics
