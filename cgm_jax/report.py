@@ -28,6 +28,9 @@ LOOK_SECONDS = 2.0
 RELOAD_SECONDS = 10.0
 """Between two looks of an open page at its own file."""
 
+State = list[tuple[int, int] | None]
+"""Sizes and times of files, None for one that is not there."""
+
 
 @dataclass(kw_only=True)
 class ReportOptions:
@@ -55,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with Interruption(
         ends_process=owns_process(), first_words="stopping", last_words="stopped"
     ) as interruption:
+        seen = _state(options.directories)  # before it is read: what comes later is new
         sweeps = _read(options.directories)
         if not options.follow and not any(sweep.runs for sweep in sweeps):
             raise SettingError(f"{options.directories[0]} has no finished epoch yet; try --follow")
@@ -62,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(out, flush=True)
         if not options.follow:
             return ExitCode.DONE
-        return _follow(options, out, sweeps, interruption)
+        return _follow(options, out, sweeps, seen, interruption)
 
 
 def _check(options: ReportOptions) -> None:
@@ -103,12 +107,15 @@ def _write(out: Path, sweeps: "Sequence[Sweep]", follows: bool) -> None:
 
 
 def _follow(
-    options: ReportOptions, out: Path, sweeps: "Sequence[Sweep]", interruption: Interruption
+    options: ReportOptions,
+    out: Path,
+    sweeps: "Sequence[Sweep]",
+    seen: State,
+    interruption: Interruption,
 ) -> int:
     """Write the page again whenever metrics change; a last time, without reloading, at the end."""
-    print("following; Ctrl-C ends it", file=sys.stderr)
     interruption.expendable = False  # a page may be half written
-    seen = _state(options.directories)
+    print("following; Ctrl-C ends it", file=sys.stderr)
     while not all(sweep.finished for sweep in sweeps):
         if interruption.requested:
             _write(out, sweeps, follows=False)
@@ -121,11 +128,11 @@ def _follow(
     return ExitCode.DONE
 
 
-def _state(paths: Sequence[Path]) -> list[tuple[int, int] | None]:
+def _state(paths: Sequence[Path]) -> State:
     """What tells whether files have changed: sizes and times of configs and metrics."""
     from cgm_jax.storage.layout import CONFIG, METRICS
 
-    found: list[tuple[int, int] | None] = []
+    found: State = []
     for file in (path / name for path in paths for name in (CONFIG, METRICS)):
         try:
             status = file.stat()

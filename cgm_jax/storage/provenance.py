@@ -1,5 +1,6 @@
 """What results depend on besides the settings: versions, machine, code, flags."""
 
+import functools
 import importlib.metadata
 import os
 import platform
@@ -121,8 +122,12 @@ def _version(package: str) -> str | None:
         return None
 
 
+@functools.cache
 def _commit() -> str | None:
-    """The commit of this checkout, marked if it has changes; None in an installed wheel."""
+    """The commit of this checkout, marked if it has changes; None in an installed wheel.
+
+    Asked for once: what a process runs stays what it was when the checkout moves on.
+    """
     checkout = Path(__file__).parents[2]
     if not (checkout / ".git").exists():
         return None

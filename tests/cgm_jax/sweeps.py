@@ -4,10 +4,13 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from cgm_jax.measuring.training_process import process_times
 
 ROOT = Path(__file__).parents[2]
 POINT_MASS = f"{ROOT / 'tests/examples/point_mass.py'}:PointMass"
@@ -26,18 +29,32 @@ def finish(arguments: list[str], code: int = 0) -> subprocess.CompletedProcess[s
     return result
 
 
-def stop(arguments: list[str], after: str, number: int = signal.SIGTERM) -> tuple[int, str]:
-    """Send a signal once a line on stderr starts with `after`; return exit code and stderr."""
+def stop(
+    arguments: list[str], after: str, number: int = signal.SIGTERM, cpu_s: float = 0.0
+) -> tuple[int, str]:
+    """Send a signal once a line on stderr starts with `after`; return exit code and stderr.
+
+    It is sent after so many further CPU seconds.
+    """
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stderr is not None
         seen = ""
         for line in process.stderr:
             seen += line
             if line.startswith(after):
+                _let_compute(process.pid, cpu_s)
                 process.send_signal(number)
                 break
         seen += process.stderr.read()
         return process.wait(timeout=60), seen
+
+
+def _let_compute(pid: int, cpu_s: float) -> None:
+    state, now = process_times(pid)
+    until = now + cpu_s
+    while now < until and state != "Z":
+        time.sleep(0.01)
+        state, now = process_times(pid)
 
 
 def rows(out: Path) -> list[dict[str, Any]]:

@@ -178,7 +178,7 @@ def test_ctrl_c_ends_an_evaluation_that_shows_how_far_it_is() -> None:
         line = process.stderr.readline()
         assert re.fullmatch(r"[\d,]+ of 1,000,000 episodes\n", line)
         process.send_signal(signal.SIGINT)
-        out, error = process.communicate(timeout=5)
+        out, error = process.communicate(timeout=60)
     assert (process.returncode, out) == (75, "")
     assert error.splitlines()[-1] == "stopped"
 

@@ -16,12 +16,7 @@ from experiments.gpu.cases import PARTS
 from experiments.table import read_table
 from tests.cgm_jax.sweeps import ROOT
 
-SLOW_PARENT = """
-import subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
-print(child.pid, file=open(sys.argv[1], "w"), flush=True)
-time.sleep(60)
-"""
+SLOW_PARENT = 'sleep 60 & echo $! > "$0"; wait'
 
 
 def test_every_part_has_cases_in_both_sizes() -> None:
@@ -37,7 +32,7 @@ def test_a_case_that_ends_says_how() -> None:
 
 def test_a_case_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Path) -> None:
     noted = tmp_path / "pid"
-    assert measure.run_within([sys.executable, "-c", SLOW_PARENT, str(noted)], 2.0) is None
+    assert measure.run_within(["sh", "-c", SLOW_PARENT, str(noted)], 2.0) is None
     child = int(noted.read_text())
     for _ in range(100):  # it is init's to bury
         stat = Path(f"/proc/{child}/stat")

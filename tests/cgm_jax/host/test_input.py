@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 from collections.abc import Callable
+from contextvars import copy_context
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def outcome(
     main: Callable[[list[str]], int], arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> tuple[Any, str]:
     with pytest.raises(SystemExit) as end:
-        run_program(lambda: main(arguments))
+        copy_context().run(run_program, lambda: main(arguments))
     captured = capsys.readouterr()
     assert captured.out == ""
     return end.value.code, captured.err

@@ -32,8 +32,7 @@ def test_a_stopped_sweep_gives_the_bits_of_one_that_was_not(tmp_path: Path) -> N
     code, text = stop(command(*grid, *ALWAYS, "--out", str(cut)), after="epoch 2:")
     assert code == 75, text
     assert 4 <= len(rows(cut)) < 8
-    assert list((cut / "policies").glob("*.npz"))  # a stopped sweep has policies and figures
-    assert (cut / "figures" / "learning_curves.png").is_file()
+    assert list((cut / "policies").glob("*.npz"))
     finish(command(*grid, *NEVER, "--out", str(cut)))
     assert len(rows(cut)) == 8
     assert_same_results(whole, cut)
@@ -45,7 +44,7 @@ def test_a_signal_in_the_middle_of_a_long_cycle_loses_nothing_of_it(tmp_path: Pa
     grid += ["--kappa", "4", "--epochs", "3", "--cycles-per-epoch", "1"]
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     finish(command(*grid, *NEVER, "--out", str(whole)))
-    code, text = stop(command(*grid, *NEVER, "--out", str(cut)), after="epoch 1:")
+    code, text = stop(command(*grid, *NEVER, "--out", str(cut)), after="epoch 1:", cpu_s=1.0)
     assert code == 75, text
     last = finished_checkpoints(cut / "checkpoints", 0)[-1]
     assert last.stem.startswith("group0_epoch000001_cycle000000_part")

@@ -12,6 +12,7 @@ import pytest
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
+from cgm_jax.storage import provenance
 from cgm_jax.storage.files import PARTIAL, replacing
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
@@ -20,6 +21,7 @@ from tests.cgm_jax.sweeps import ROOT
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no checkout")
 def test_the_config_names_the_commit_that_trains(tmp_path: Path) -> None:
+    provenance._commit.cache_clear()  # another test may have asked ahead of a new commit
     with RunDirectory.claimed(tmp_path, fresh=True) as directory:
         directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
     command = ["git", "-C", str(ROOT), "rev-parse", "HEAD"]
