@@ -10,9 +10,10 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import piece
 from cgm_jax.host.command_line import owns_process, parse, run_program
+from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
-from cgm_jax.host.session import conclude, new_directory
+from cgm_jax.host.session import new_directory
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import ANY_CLUSTER, LAUNCH, Launch, absolute_path
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned

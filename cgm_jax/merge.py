@@ -12,9 +12,9 @@ import tyro
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import owns_process, parse, print_restored, run_program
+from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
-from cgm_jax.host.session import conclude
 from cgm_jax.results.merging import differences, read_parts, write_merged
 from cgm_jax.storage.run_directory import RunDirectory
 

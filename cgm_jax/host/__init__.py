@@ -4,6 +4,7 @@
     setting_options.py  an option per setting, and what --help says of it
     asked.py            what is to be trained: options, over a settings_file.py, over a preset
     session.py          from groups of runs to an exit code; dry_run.py what it would be
+    conclusion.py       what a finished sweep has come to
     differences.py      why what is asked for is not what a directory holds
     extension.py        more epochs; warm_start.py what another run has learned
     jobs.py             what is trained side by side, as memory allows

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, owns_process, print_restored
+from cgm_jax.host.conclusion import draw_figures_of, show_results, verdict
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import (
     check_devices,
@@ -33,7 +34,6 @@ from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.tracking import Tracking, find_tracker
 from cgm_jax.storage.config_file import read_origin
 from cgm_jax.storage.layout import CONFIG
-from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
 if TYPE_CHECKING:  # jobs imports JAX
@@ -281,72 +281,12 @@ def _train(
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
-    figures = _draw_figures(directory)
+    figures = draw_figures_of(directory)
     if rows is not None and tracking.name is not None:
-        _show_results(directory, rows, figures, tracking)
+        show_results(directory, rows, figures, tracking)
     if options.csv or directory.has_csv():
         directory.write_csv()
-    return ExitCode.STOPPED if rows is None else _verdict(rows)
-
-
-def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
-    """Say what a finished sweep has come to, draw its figures, and return its exit code.
-
-    Args:
-        directory: of the sweep.
-        rows: all rows of its metrics.
-    """
-    from cgm_jax.host.progress import physics_lines, summary_lines
-
-    last = list({row["run"]: row for row in rows}.values())
-    print("\n".join(summary_lines(last) + physics_lines(rows)))
-    _draw_figures(directory)
-    print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
-    return _verdict(last)
-
-
-def _draw_figures(directory: RunDirectory) -> list[Path]:
-    """Draw what can be drawn; training is done, and its outcome does not depend on it."""
-    try:
-        from cgm_jax.results.figures import draw_figures
-
-        return draw_figures(directory)
-    except Exception as error:
-        line = str(error).partition("\n")[0]
-        print(f"no figures drawn: {type(error).__name__}: {line}", file=sys.stderr)
-        return []
-
-
-def _show_results(
-    directory: RunDirectory,
-    rows: Sequence[Row],
-    figures: Sequence[Path],
-    tracking: Tracking,
-) -> None:
-    """Send figures and a video of the best policy to the tracker, where it can be made."""
-    shown = {f"figures/{path.stem}": path for path in figures}
-    try:
-        from cgm_jax.results.best_policy import film_best_policy
-
-        shown["best_policy"] = film_best_policy(directory, rows)
-    except Exception as error:
-        line = str(error).partition("\n")[0]
-        print(f"no video of the best policy: {line}", file=sys.stderr)
-    tracking.show(shown, max(row["epoch"] for row in rows))
-
-
-def _verdict(rows: Sequence[Mapping[str, Any]]) -> int:
-    """The exit code for the last row of every run; says which is not as it should be."""
-    diverged = sum(row["failure"] is not None for row in rows)
-    if diverged:
-        print(f"{diverged} of {len(rows)} runs diverged", file=sys.stderr)
-    dropped = sum(row["success_rate"] is None for row in rows)
-    if dropped:
-        print(
-            f"{dropped} of {len(rows)} runs had no valid episode in their last evaluation",
-            file=sys.stderr,
-        )
-    return ExitCode.DIVERGED if diverged or dropped else ExitCode.DONE
+    return ExitCode.STOPPED if rows is None else verdict(rows)
 
 
 def _how_to_resume(out: Path, tracker: str | None) -> str:

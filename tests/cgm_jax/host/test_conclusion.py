@@ -9,7 +9,7 @@ from cgm_jax import sweep
 from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host import session
+from cgm_jax.host import conclusion
 from cgm_jax.results import figures
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax import own_environments
@@ -36,7 +36,7 @@ HEALTHY = {"failure": None, "success_rate": 0.0}
 def test_runs_that_are_not_as_they_should_be_are_told(
     last: list[dict[str, Any]], code: int, said: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert session._verdict(last) == code
+    assert conclusion.verdict(last) == code
     assert capsys.readouterr().err.splitlines() == said
 
 
@@ -62,7 +62,7 @@ def test_a_figure_that_cannot_be_drawn_is_one_line_and_the_others_are(
         raise ValueError("first\nsecond")
 
     monkeypatch.setattr(figures, "epochs_to_half", epochs_to_half)
-    session._draw_figures(directory)
+    conclusion.draw_figures_of(directory)
     drawn = sorted(path.name for path in (directory.path / "figures").iterdir())
     assert drawn == ["learning_curves.png", "mask_success.png"]
     path = directory.path / "figures" / "epochs_to_half.png"
@@ -74,13 +74,13 @@ def test_metrics_that_cannot_be_read_cost_figures_and_nothing_else(
     directory: RunDirectory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (directory.path / "metrics.jsonl").write_bytes(b"\xff\n")
-    session._draw_figures(directory)
+    conclusion.draw_figures_of(directory)
     assert capsys.readouterr().err.startswith("no figures drawn: UnicodeDecodeError: ")
 
 
 def test_without_any_epoch_there_is_nothing_to_draw(directory: RunDirectory) -> None:
     (directory.path / "metrics.jsonl").write_text("")
-    session._draw_figures(directory)
+    conclusion.draw_figures_of(directory)
     assert not list((directory.path / "figures").iterdir())
 
 
