@@ -27,7 +27,8 @@ def descend(
     learning_rate: float | jax.Array,
 ) -> tuple[Parameters, optax.OptState]:
     """One step of Adam: new parameters, and the optimiser's new state."""
-    direction, optimiser = ADAM.update(gradient, optimiser)
+    with jax.numpy_dtype_promotion("standard"):  # Optax has JAX turn its count into a float
+        direction, optimiser = ADAM.update(gradient, optimiser)
     step = jax.tree.map(lambda leaf: -learning_rate * leaf, direction)
     return optax.apply_updates(parameters, step), optimiser
 

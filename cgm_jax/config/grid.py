@@ -208,9 +208,15 @@ def _grouped(runs: Sequence[tuple[Settings, Run]]) -> list[Group]:
     Raises:
         SettingError: two of them have the same name.
     """
-    names = [run.name for _, run in runs]
-    if len(set(names)) < len(names):
-        raise SettingError("env: two environments would give their runs the same names")
+    named: dict[str, Run] = {}
+    for _, run in runs:
+        other = named.setdefault(run.name, run)
+        if other is not run:
+            kind = next(kind for kind in NAMES if run.values[kind] != other.values[kind])
+            raise SettingError(
+                f"{kind}: {other.values[kind]} and {run.values[kind]} would give their runs the "
+                "same names; rename one of them"
+            )
     groups: dict[Any, list[Run]] = {}
     for settings, run in runs:
         groups.setdefault(structure(settings, run.hyper), []).append(run)

@@ -15,7 +15,7 @@ from cgm_jax.loop.learning import learn, learn_part, parts_of_updates
 from cgm_jax.loop.normaliser import observe
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup
-from cgm_jax.loop.state import EpochStatistics, TrainingState
+from cgm_jax.loop.state import EpochStatistics, TrainingState, count
 from cgm_jax.replay.future import moved_goal
 from cgm_jax.replay.ring import insert, size
 
@@ -170,14 +170,16 @@ def _count(statistics: EpochStatistics, rollout: Rollout, threshold: float) -> E
     valid = outcomes.valid
     moved = moved_goal(rollout.episodes.achieved_goal, threshold)
     statistics = statistics.replace(
-        episodes=statistics.episodes + valid.sum(),
-        moved_episodes=statistics.moved_episodes + jnp.sum(valid & moved),
-        physics_warnings=statistics.physics_warnings + jnp.sum(~valid),
+        episodes=statistics.episodes + count(valid),
+        moved_episodes=statistics.moved_episodes + count(valid & moved),
+        physics_warnings=statistics.physics_warnings + count(~valid),
     )
     if not statistics.mask_episodes.size:
         return statistics
     drawn = mask_indices(outcomes.goals.mask)
     return statistics.replace(
-        mask_episodes=statistics.mask_episodes.at[drawn].add(valid),
-        mask_successes=statistics.mask_successes.at[drawn].add(valid & outcomes.success),
+        mask_episodes=statistics.mask_episodes.at[drawn].add(valid.astype(jnp.float32)),
+        mask_successes=statistics.mask_successes.at[drawn].add(
+            (valid & outcomes.success).astype(jnp.float32)
+        ),
     )

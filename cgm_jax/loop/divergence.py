@@ -26,7 +26,7 @@ def failure_of(agent: Any) -> jax.Array:
     bits = []
     for i, name in enumerate(_fields(agent)):
         limit = finite if name.endswith(OPTIMISER) else MAX_WEIGHT
-        bits.append((1 << i) * ~_within(getattr(agent, name), limit))
+        bits.append(jnp.where(_within(getattr(agent, name), limit), 0, 1 << i))
     return jnp.stack(bits).sum(dtype=jnp.int32)
 
 

@@ -13,7 +13,7 @@ from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.rollout import Policy, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup, sizes
-from cgm_jax.loop.state import EpochStatistics, TrainingState, init_statistics
+from cgm_jax.loop.state import EpochStatistics, TrainingState, count, init_statistics
 
 Metrics = dict[str, jax.Array]
 
@@ -40,20 +40,22 @@ def evaluated(
     goals = drawn_goals(setup.env, first)
     outcomes = roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals).outcomes
     valid = outcomes.valid
-    episodes = valid.sum()
-    broken, examined = jnp.sum(~valid), None
+    episodes = count(valid)
+    broken, examined = count(~valid), None
     masks = hyper.curriculum.examination(sizes(setup, hyper))
     if masks is not None:
         first = reset(setup.env, examination_key, len(masks))
         goals = drawn_goals(setup.env, first).replace(mask=masks)
         policy = final_policy(setup, state, hyper, goals)
         examined = roll_out(setup.env, policy, first, goals).outcomes
-        broken += jnp.sum(~examined.valid)
+        broken += count(~examined.valid)
     metrics = {
         "env_steps": state.env_steps,
         "updates": state.updates,
-        "success_rate": _share(jnp.sum(valid & outcomes.success), episodes),
-        "subgoal_success": _share(jnp.sum(valid[:, None] & outcomes.subgoal_success, 0), episodes),
+        "success_rate": _share(count(valid & outcomes.success), episodes),
+        "subgoal_success": _share(
+            count(valid[:, None] & outcomes.subgoal_success, axis=0), episodes
+        ),
         **hyper.curriculum.report(state.curriculum),
         **_training_metrics(state.statistics),
         "physics_warnings": state.statistics.physics_warnings + broken,

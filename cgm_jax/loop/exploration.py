@@ -49,7 +49,8 @@ def draw_exploration(key: jax.Array, shape: tuple[int, ...], hyper: Hyperparamet
     normal_key, uniform_key, phase_key = jax.random.split(key, 3)
     steps, *episodes, action_size = shape
     uniform = jax.random.uniform(uniform_key, (steps, *episodes, action_size + 1))
-    phase = jnp.floor(hyper.random_action_steps * jax.random.uniform(phase_key, tuple(episodes)))
+    length = jnp.asarray(hyper.random_action_steps, jnp.float32)
+    phase = jnp.floor(length * jax.random.uniform(phase_key, tuple(episodes)))
     step = jnp.arange(steps).reshape(-1, *(1 for _ in episodes))
     stretch = (step + phase.astype(jnp.int32)) // hyper.random_action_steps
     uniform = jnp.take_along_axis(uniform, stretch[..., None], axis=0)

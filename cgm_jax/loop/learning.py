@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax.custom_batching import sequential_vmap
 
 from cgm_jax.agents.protocol import Minibatch
@@ -58,10 +59,11 @@ def learn(
     failure, agent = freeze_if_failed(state.failure, state.agent, agent)
     losses = {name: total + info[name].sum() for name, total in state.statistics.losses.items()}
     logged = next((values.size for values in info.values()), 0)
+    updates = sizes(setup, hyper).updates_at_once
     return state.replace(
         agent=agent,
         failure=failure,
-        updates=state.updates + (failure == 0) * sizes(setup, hyper).updates_at_once,
+        updates=state.updates + jnp.where(failure == 0, updates, 0),
         statistics=state.statistics.replace(
             losses=losses, updates=state.statistics.updates + logged
         ),

@@ -138,13 +138,14 @@ def _update(
 ) -> RunningStatisticsState:
     """Update with rows [episodes, steps, size] of the valid episodes [episodes]."""
     usable = jnp.broadcast_to(valid[:, None], rows.shape[:2]) & jnp.isfinite(rows).all(axis=-1)
-    updated = running_statistics.update(
-        statistics.replace(mean=_origin(statistics, rows, usable, far)),
-        jnp.where(usable[..., None], rows, 0.0),
-        weights=usable.astype(jnp.float32),
-        std_min_value=0.0,
-        std_max_value=float(jnp.finfo(jnp.float32).max),
-    )
+    with jax.numpy_dtype_promotion("standard"):  # Brax has JAX turn its counts into floats
+        updated = running_statistics.update(
+            statistics.replace(mean=_origin(statistics, rows, usable, far)),
+            jnp.where(usable[..., None], rows, 0.0),
+            weights=usable.astype(jnp.float32),
+            std_min_value=0.0,
+            std_max_value=float(jnp.finfo(jnp.float32).max),
+        )
     updated = updated.replace(std=_floored(updated, floor))
     # With no row at all the update divides by a count of zero.
     return jax.tree.map(

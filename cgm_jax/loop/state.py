@@ -74,3 +74,8 @@ def init_statistics(masks: int, logged: tuple[str, ...]) -> EpochStatistics:
         losses={name: jnp.zeros(()) for name in logged},
         updates=jnp.zeros(()),
     )
+
+
+def count(condition: jax.Array, axis: int | None = None) -> jax.Array:
+    """How many entries are true, of all or along an axis, as statistics count: float32."""
+    return jnp.sum(condition, axis, dtype=jnp.float32)

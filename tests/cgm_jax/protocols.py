@@ -14,7 +14,7 @@ from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.state import TrainingState
-from cgm_jax.loop.training import Programs
+from cgm_jax.loop.training import Programs, Trainer
 from cgm_jax.measuring.compilations import programs_compiled
 
 
@@ -71,6 +71,18 @@ def assert_training_resumes(
     resumed = programs.train(restored, hyper, 1)
     assert programs_compiled() == before > 0
     assert_same(resumed, programs.train(copy, hyper, 1))
+
+
+def assert_no_type_is_promoted(trainer: Trainer, hyper: Hyperparameters) -> None:
+    """Of what trains and evaluates, no type becomes another unless the code says so.
+
+    Args:
+        trainer: of the runs; nothing is compiled.
+        hyper: of its runs, stacked.
+    """
+    first = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), hyper)
+    with jax.numpy_dtype_promotion("strict"):
+        jax.eval_shape(trainer.epoch, jax.eval_shape(trainer.init, first), first)
 
 
 def assert_wrong_settings_are_refused_by_name(kind: str, name: str) -> None:

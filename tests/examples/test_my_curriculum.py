@@ -1,4 +1,4 @@
-"""A user's own curriculum, from the command line to metrics and checkpoints."""
+"""A user's own curriculum and agent, from the command line to metrics and checkpoints."""
 
 import functools
 import json
@@ -18,7 +18,8 @@ from tests.cgm_jax.shared_programs import shared_programs
 from tests.cgm_jax.sweeps import POINT_MASS
 
 GROWING = f"{Path(__file__).with_name('my_curriculum.py')}:Growing"
-OPTIONS = ["--preset", "smoke", "--env", POINT_MASS, "--curriculum", GROWING]
+AGENT = f"{Path(__file__).with_name('my_agent.py')}:MyAgent"
+OPTIONS = ["--preset", "smoke", "--env", POINT_MASS, "--curriculum", GROWING, "--agent", AGENT]
 OPTIONS += ["--epochs", "2", "--cycles-per-epoch", "1"]
 
 
@@ -72,7 +73,8 @@ def test_it_trains_stops_and_resumes_by_the_command_line(
         assert sweep.main(arguments) == 0
     rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert [row["epoch"] for row in rows] == [1, 1, 2, 2]
-    assert {row["curriculum"] for row in rows} == {GROWING}
+    assert {(row["curriculum"], row["agent"]) for row in rows} == {(GROWING, AGENT)}
+    assert len(list((out / "policies").glob("*.npz"))) == 2
     assert rows[2]["run"] != rows[3]["run"]
     for run, gain in enumerate((0.5, 0.7)):
         kept = 0.5

@@ -21,7 +21,8 @@ the share of the masks of k dimensions that descend exactly d levels, and T_k(d)
 Walking back from a level, dimension k is kept with probability S_{k-1}(d - L_k) / (2 S_k(d)), or
 with T where the mask is to descend at least d. delta = 0.0026, so rounding moves log c_m by up to
 0.0013 for each kept dimension: a mask near a border may count for the difficulty beside it. Time
-and memory grow with n * LEVELS.
+and memory grow with n * LEVELS. Up to ten dimensions, where all masks are in a table, difficulties
+are those of the exact c_m.
 """
 
 import math

@@ -18,6 +18,7 @@ from cgm_jax.loop.divergence import MAX_WEIGHT, describe_failure
 from tests.cgm_jax.agents.oracle import SIZES, example_batch
 from tests.cgm_jax.agents.trained import AGENTS, bits, is_key, on_host, trained
 from tests.cgm_jax.probe import tiny
+from tests.cgm_jax.protocols import assert_no_type_is_promoted
 
 EVERY = pytest.mark.parametrize("agent", AGENTS)
 
@@ -37,6 +38,12 @@ def test_training_keeps_structure_shapes_and_types(agent: str) -> None:
     shapes = jax.eval_shape(run.programs.start, run.hyper)
     assert not [leaf for leaf in jax.tree.leaves(shapes) if leaf.weak_type and not is_key(leaf)]
     assert run.compiled_later == 0
+
+
+@EVERY
+def test_no_type_is_promoted(agent: str) -> None:
+    run = trained(agent)
+    assert_no_type_is_promoted(run.programs.trainer, run.hyper)
 
 
 @EVERY

@@ -6,6 +6,8 @@ import pytest
 from cgm_jax.curricula.cgm import CGM, joint_success_rates
 from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
 from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
+from tests.cgm_jax.curricula.small import Chances, epochs
+from tests.cgm_jax.probe import tiny
 
 
 def test_joint_rates_are_shares_of_rollouts_that_achieved_all_kept_dimensions() -> None:
@@ -46,3 +48,21 @@ def test_settings_are_leaves_where_traced_and_structure_where_static() -> None:
     one, other = (jax.tree.structure(CGM(success_history=h)) for h in (10, 50))
     assert one != other
     assert jax.tree.structure(CGM(c_g=0.3)) == one
+
+
+@pytest.mark.parametrize("full_share", [0.0, 0.5])
+@pytest.mark.parametrize(("aim", "near"), [(1.0, [0, 4]), (0.5, [1, 5]), (0.0, [2, 3, 6, 7])])
+def test_training_practises_masks_near_the_success_rate_aimed_at(
+    aim: float, near: list[int], full_share: float
+) -> None:
+    # The first sub-goal always succeeds, the second never, the third half of the time.
+    hyper = tiny(curriculum="cgm", c_g=aim, kappa=1000.0, full_share=full_share)
+    run = epochs(Chances(), hyper)
+    next(run)
+    shares = np.mean([next(run)[1]["mask_share"] for _ in range(4)], axis=0)
+    expected = np.zeros(8)
+    expected[near] = (1 - full_share) / len(near)
+    expected[7] += full_share
+    assert shares.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(shares > 0, expected > 0)
+    np.testing.assert_allclose(shares, expected, atol=0.09)  # four standard errors of 512 episodes

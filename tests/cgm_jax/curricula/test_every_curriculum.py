@@ -19,6 +19,7 @@ from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.protocols import (
+    assert_no_type_is_promoted,
     assert_same,
     assert_training_resumes,
     assert_wrong_settings_are_refused_by_name,
@@ -202,6 +203,10 @@ def test_episodes_with_broken_physics_change_nothing(name: str) -> None:
 def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
     done = trained(name)
     assert_training_resumes(done.programs, stack(done.runs), done.state, done.start, tmp_path)
+
+
+def test_no_type_is_promoted(name: str) -> None:
+    assert_no_type_is_promoted(TRAINER, stack(two_runs(name)))
 
 
 def test_with_64_bits_its_state_keeps_its_types(name: str) -> None:

@@ -3,11 +3,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups, hyperparameters
 from cgm_jax.curricula.vds import VDS, log_weights
 from cgm_jax.loop.inputs import network_inputs
+from cgm_jax.loop.training import make_trainer
 from tests.cgm_jax.curricula.line import SIZES, Line, drawn_goals, outcomes, view, walk
-from tests.cgm_jax.probe import tiny
+from tests.cgm_jax.probe import TINY, tiny
+from tests.examples.point_mass import PointMass
 
 
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
@@ -51,6 +54,12 @@ def test_three_critics_are_the_default() -> None:
     assert hyperparameters(curriculum="vds").agent.critics == 3
     assert hyperparameters(curriculum="vds", critics=1).agent.critics == 1
     assert hyperparameters(curriculum="full").agent.critics == 1
+
+
+def test_one_critic_cannot_disagree() -> None:
+    trainer = make_trainer(PointMass(), TINY)
+    with pytest.raises(SettingError, match=r"^critics: 1, but curriculum vds needs 2 or more"):
+        trainer.init(tiny(curriculum="vds", critics=1))
 
 
 def test_a_sweep_gives_each_curriculum_the_critics_it_wants() -> None:

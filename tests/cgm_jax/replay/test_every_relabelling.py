@@ -21,6 +21,7 @@ from cgm_jax.measuring.compilations import programs_compiled
 from cgm_jax.replay.protocol import Transitions
 from cgm_jax.replay.ring import Replay
 from tests.cgm_jax.protocols import (
+    assert_no_type_is_promoted,
     assert_same,
     assert_training_resumes,
     assert_wrong_settings_are_refused_by_name,
@@ -121,9 +122,7 @@ def test_transitions_are_real_ones_with_their_goals_masked_and_rewards_recompute
 ) -> None:
     done = trained(name)
     replay, relabelling = done.replay(run), done.runs[run].relabelling
-    with jax.numpy_dtype_promotion("strict"):  # no type becomes another unless the code says so
-        drawn = sample(relabelling, replay, jax.random.key(1))
-    drawn = jax.tree.map(np.asarray, drawn)
+    drawn = jax.tree.map(np.asarray, sample(relabelling, replay, jax.random.key(1)))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn))  # none of no episode
     episodes = jax.tree.map(np.asarray, replay.episodes)
     assert set(np.unique(drawn.mask)) <= {0.0, 1.0}
@@ -178,6 +177,11 @@ def test_what_it_draws_depends_on_its_key_alone_and_idle_settings_change_nothing
 def test_it_resumes_from_a_checkpoint(name: str, tmp_path: Path) -> None:
     done = trained(name)
     assert_training_resumes(done.programs, stack(done.runs), done.state, done.start, tmp_path)
+
+
+def test_no_type_is_promoted(name: str) -> None:
+    done = trained(name)
+    assert_no_type_is_promoted(done.programs.trainer, stack(done.runs))
 
 
 def test_wrong_settings_are_refused_by_name(name: str) -> None:
