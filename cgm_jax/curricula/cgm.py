@@ -7,8 +7,8 @@ program say near. Sub-goal rates are means over the last h noise-free evaluation
 full goal; before any, c_g^(1/n). Two estimates that are not the paper's judge its product: joint
 rates (`factorised` off) and noise-free episodes of each mask (`masked_evaluation_episodes`).
 
-A share of the episodes can be given the full goal in any case (`full_share`), as the authors' program
-can (p_full).
+A share of the episodes can get the full goal in any case (`full_share`, p_full in the authors'
+program).
 
 Goals of more than ten dimensions have too many masks for a table, which both of these need: masks
 are then drawn dimension by dimension, see parts/lookahead.py. In many dimensions nearly all masks

@@ -7,8 +7,8 @@
 Candidates are drawn from the goals that replay achieved; p_ag and p_dg are kernel densities of
 achieved goals and of the environment's goals, standardised by the achieved ones. As in the authors'
 program (mrl): bandwidth 0.1, b = -3, KL as the mean over draws from p_dg; the cutoff falls by 1
-where at least 70 % of ten episodes succeed and rises by 1 where at most 30 % do, within [-(1 -
-gamma^(0.8 T)) / (1 - gamma), -3], gamma at most 0.99, and never below the lowest Q of a candidate
+where at least 70 % of ten episodes succeed and rises by 1 where at most 30 % do, within
+[-(1 - gamma^(0.8 T)) / (1 - gamma), -3], gamma at most 0.99, and never below a candidate's lowest Q
 so far; if no candidate reaches it, that of the highest Q. What differs: success is that of the last
 step, where mrl's is that of any step; Q is the mean over critics; mrl takes 500 candidates and
 10,000 goals behind a density. Its random exploration after success ("go explore") is not part of

@@ -1,5 +1,8 @@
 import dataclasses
 import itertools
+import re
+import shutil
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +15,8 @@ from cgm_jax.config.presets import PRESETS
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.curricula.cgm import CGM
 from cgm_jax.replay.future import Future
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def names(options: dict[str, list[Any]]) -> list[str]:
@@ -44,9 +49,18 @@ def test_values_that_differ_in_the_eighth_digit_are_two_runs() -> None:
     assert len(names({"c_g": [0.1, 0.10000001], "kappa": [32.0]})) == 2
 
 
-def test_environments_whose_runs_would_share_names_are_refused() -> None:
-    with pytest.raises(SettingError, match="env: two environments would give their runs"):
-        build_groups("smoke", {"env": ["a/mine.py:Task", "b/mine.py:Task"]})
+@pytest.mark.parametrize(("kind", "made"), [("env", "PointMass"), ("curriculum", "Growing")])
+def test_own_code_whose_runs_would_have_the_same_names_is_refused(
+    kind: str, made: str, tmp_path: Path
+) -> None:
+    source = EXAMPLES / {"env": "point_mass.py", "curriculum": "my_curriculum.py"}[kind]
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(source, tmp_path / folder / "mine.py")
+    both = [f"{tmp_path / folder / 'mine.py'}:{made}" for folder in ("one", "other")]
+    said = f"{kind}: {both[0]} and {both[1]} would give their runs the same names"
+    with pytest.raises(SettingError, match=f"^{re.escape(said)}"):
+        build_groups("smoke", {kind: both})
 
 
 def other_values(item: Any) -> list[Any]:

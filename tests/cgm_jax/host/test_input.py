@@ -4,8 +4,6 @@ import dataclasses
 import json
 import math
 import random
-import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -25,7 +23,6 @@ from cgm_jax.host.command_line import run_program
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
 
-EXAMPLES = ROOT / "tests/examples"
 WORDS = [
     *("nan", "inf", "-inf", "-1", "0", "-0.0", "1", "2", "0.5", "1.0", "1e400", "1e-400", "1e30"),
     *("9" * 25, "1_0", "0x10", "٣", "½", "", " ", "None", "on", "off", "true", "reach"),
@@ -235,20 +232,6 @@ def test_a_name_too_long_for_a_file_is_cut_and_stays_its_own() -> None:
     assert len(set(names)) == len(names) == 8
     assert all(190 < len(name.encode()) <= 200 for name in names)
     assert {name.rpartition("_")[2] for name in names} == {"seed0", "seed12"}
-
-
-@pytest.mark.parametrize(("kind", "made"), [("env", "PointMass"), ("curriculum", "Growing")])
-def test_own_code_whose_runs_would_have_the_same_names_is_refused(
-    kind: str, made: str, tmp_path: Path
-) -> None:
-    source = EXAMPLES / {"env": "point_mass.py", "curriculum": "my_curriculum.py"}[kind]
-    for folder in ("one", "other"):
-        (tmp_path / folder).mkdir()
-        shutil.copy(source, tmp_path / folder / "mine.py")
-    both = [f"{tmp_path / folder / 'mine.py'}:{made}" for folder in ("one", "other")]
-    said = f"{kind}: {both[0]} and {both[1]} would give their runs the same names"
-    with pytest.raises(SettingError, match=f"^{re.escape(said)}"):
-        build_groups("smoke", {kind: both})
 
 
 def test_numpys_numbers_are_numbers() -> None:
