@@ -1,4 +1,4 @@
-"""Pictures of a Fetch scene and its goal, off-screen: no display and no GPU needed.
+"""Images of a Fetch scene and its goal, off-screen: no display and no GPU needed.
 
 A goal is achieved within a distance of it, so what is drawn is that region, translucent, around
 a solid core. A masked axis counts as achieved wherever the object is, so the region extends
@@ -125,7 +125,7 @@ class Renderer:
         self._goal_radius = goal_radius
         self._low, self._high = workspace(model)
         self._area = mujoco.MjrRect(0, 0, width, height)
-        self._picture = mujoco.MjvScene(model, maxgeom=model.ngeom + EXTRA_GEOMS)
+        self._visual_scene = mujoco.MjvScene(model, maxgeom=model.ngeom + EXTRA_GEOMS)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = model.camera(CAMERA).id
@@ -163,16 +163,16 @@ class Renderer:
             None,
             self._camera,
             everything,
-            self._picture,
+            self._visual_scene,
         )
         # The shadow of a slab would only darken the table.
-        self._picture.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = sum(mask) > 1
+        self._visual_scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = sum(mask) > 1
         shapes = goal_shapes(np.asarray(goal), mask, self._goal_radius, self._low, self._high)
         for shape in shapes:
-            add_shape(self._picture, shape, GREEN if achieved else RED)
+            add_shape(self._visual_scene, shape, GREEN if achieved else RED)
         pixels = np.empty((self._area.height, self._area.width, 3), np.uint8)
         self._surface.make_current()
-        mujoco.mjr_render(self._area, self._picture, self._context)
+        mujoco.mjr_render(self._area, self._visual_scene, self._context)
         mujoco.mjr_readPixels(pixels, None, self._area, self._context)
         return np.flipud(pixels)  # OpenGL counts rows from below
 
@@ -197,9 +197,11 @@ class Renderer:
         self.close()
 
 
-def add_shape(picture: mujoco.MjvScene, shape: Shape, colour: tuple[float, float, float]) -> None:
+def add_shape(
+    visual_scene: mujoco.MjvScene, shape: Shape, colour: tuple[float, float, float]
+) -> None:
     """Add a shape to what MuJoCo is to draw."""
-    geom = picture.geoms[picture.ngeom]
+    geom = visual_scene.geoms[visual_scene.ngeom]
     size = np.zeros(3)
     size[: len(shape.size)] = shape.size
     mujoco.mjv_initGeom(
@@ -211,7 +213,7 @@ def add_shape(picture: mujoco.MjvScene, shape: Shape, colour: tuple[float, float
         np.array([*colour, shape.opacity], np.float32),
     )
     geom.emission = 0.3
-    picture.ngeom += 1
+    visual_scene.ngeom += 1
 
 
 def workspace(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

@@ -77,8 +77,8 @@ def play(
     model, data = scene.model, mujoco.MjData(scene.model)
     low, high = workspace(model)
     with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
-        picture = window.user_scn
-        assert picture is not None
+        visual_scene = window.user_scn
+        assert visual_scene is not None
         window.cam.lookat[:] = (low + high) / 2
         window.cam.distance, window.cam.azimuth, window.cam.elevation = CAMERA
         while True:
@@ -90,9 +90,11 @@ def play(
                     with window.lock():
                         data.qpos[:] = row
                         mujoco.mj_forward(model, data)
-                        picture.ngeom = 0
+                        visual_scene.ngeom = 0
                         for shape in shapes:
-                            add_shape(picture, shape, GREEN if achieved[episode, step] else RED)
+                            add_shape(
+                                visual_scene, shape, GREEN if achieved[episode, step] else RED
+                            )
                     window.sync()
                     last = step == len(positions) - 1
                     time.sleep(1 / FRAMES_PER_SECOND + (HELD_SECONDS if last else 0.0))

@@ -25,13 +25,17 @@ _CPU: Grid = {
     "replay_transitions": [600_000],
 }
 
-# Something carried is let go at the next random action; so as many of them, but in a row. Pushing
-# does not need that, and learned a little faster without.
-_CARRYING: Grid = {"random_action_steps": [5]}
-
 # Exploration pursues first the grip where it can move the block, then the block; question `guided`
 # of experiments/plans.toml. Whether masks help beside that, five seeds do not tell.
-_STAGES: Grid = {"relabelling": ["relay"], "relay_share": [0.2]}
+_PUSH: Grid = {"relabelling": ["relay"], "relay_share": [0.15]}
+
+# The same; and something carried is let go at the next random action, so as many of them, but in a
+# row. Pushing does not need that, and learned a little faster without.
+_PICK_AND_PLACE: Grid = {
+    "relabelling": ["relay"],
+    "relay_share": [0.2],
+    "random_action_steps": [5],
+}
 
 # They need HER, wider networks and more steps than reach; so `quick` has fewer points of them.
 _FEW_POINTS: Grid = {
@@ -105,17 +109,17 @@ PRESETS: dict[str, Grid] = {
 BY_ENV: dict[str, dict[str, Grid]] = {
     "quick": {
         "push": {**_CPU, **_FEW_POINTS, "epochs": [20]},
-        "pick_and_place": {**_CPU, **_FEW_POINTS, **_CARRYING, "epochs": [40]},
+        "pick_and_place": {**_CPU, **_FEW_POINTS, "random_action_steps": [5], "epochs": [40]},
     },
     "cpu": {
         "reach": {"epochs": [3]},
-        "push": {**_STAGES, "relay_share": [0.15]},
-        "pick_and_place": {**_STAGES, **_CARRYING, "epochs": [45]},
+        "push": _PUSH,
+        "pick_and_place": {**_PICK_AND_PLACE, "epochs": [45]},
     },
     "gpu": {
         "reach": {"epochs": [3]},
-        "push": {**_STAGES, "relay_share": [0.15]},
-        "pick_and_place": {**_STAGES, **_CARRYING, "epochs": [30], "updates_per_cycle": [800]},
+        "push": _PUSH,
+        "pick_and_place": {**_PICK_AND_PLACE, "epochs": [30], "updates_per_cycle": [800]},
     },
     "paper": {
         "push": {"environments": [16], "batch_size": [1024]},

@@ -47,9 +47,9 @@ def show_results(
     """Send figures and a video of the best policy to the tracker, where it can be made."""
     shown = {f"figures/{path.stem}": path for path in figures}
     try:
-        from cgm_jax.results.best_policy import film_best_policy
+        from cgm_jax.results.best_policy import video_of_best_policy
 
-        shown["best_policy"] = film_best_policy(directory, rows)
+        shown["best_policy"] = video_of_best_policy(directory, rows)
     except Exception as error:
         line = str(error).partition("\n")[0]
         print(f"no video of the best policy: {line}", file=sys.stderr)

@@ -78,8 +78,8 @@ class Engine(Protocol):
 
 
 @dataclass
-class Standing:
-    """Where all parts stand.
+class Progress:
+    """Progress of all parts.
 
     Attributes:
         waiting: parts to be attempted, and the time before which not.
@@ -114,47 +114,47 @@ def supervise(
     engine.begin(launch)
     for part in epochs:
         append_event(launch.record(part), "launched")
-    standing = Standing(dict.fromkeys(epochs, 0.0))
+    parts = Progress(dict.fromkeys(epochs, 0.0))
     metrics = {part: launch.out(part) / "metrics.jsonl" for part in epochs}
     with JointProgress(metrics, epochs) as progress:
-        while standing.waiting or standing.running:
+        while parts.waiting or parts.running:
             if interruption.requested:
-                _stop(engine, standing)
+                _stop(engine, parts)
                 return None
-            _start(engine, standing)
+            _start(engine, parts)
             for part, end in engine.ended().items():
-                _follow_up(launch, standing, part, end)
-            progress.show(standing.done(), len(standing.running))
+                _follow_up(launch, parts, part, end)
+            progress.show(parts.done(), len(parts.running))
             time.sleep(POLL_SECONDS)
-    return standing.codes
+    return parts.codes
 
 
-def _start(engine: Engine, standing: Standing) -> None:
+def _start(engine: Engine, parts: Progress) -> None:
     now = time.monotonic()
-    due = [part for part, when in standing.waiting.items() if when <= now][: engine.room()]
+    due = [part for part, when in parts.waiting.items() if when <= now][: engine.room()]
     taken = engine.start(due) if due else []
     for part in due:
         if part in taken:
-            del standing.waiting[part]
-            standing.running.add(part)
+            del parts.waiting[part]
+            parts.running.add(part)
         else:
-            standing.waiting[part] = now + MAX_DELAY
+            parts.waiting[part] = now + MAX_DELAY
 
 
-def _follow_up(launch: Launch, standing: Standing, part: int, end: Ended) -> None:
+def _follow_up(launch: Launch, parts: Progress, part: int, end: Ended) -> None:
     """Decide what becomes of a part whose attempt has ended."""
-    standing.running.discard(part)
+    parts.running.discard(part)
     fruitless = fruitless_attempts(launch.record(part), launch.out(part))
     step = next_step(end.code, fruitless)
     if end.final and step is Step.AGAIN:
         step = Step.FAILED
     if step is Step.AGAIN:
         delay = min(MAX_DELAY, 2.0**fruitless) if fruitless > 1 else 0.0
-        standing.waiting[part] = time.monotonic() + delay
+        parts.waiting[part] = time.monotonic() + delay
         after = f" in {delay:.0f} s" if delay else ""
         _say(f"part {part}: {_reason(end.code)}; it is tried again{after}")
         return
-    standing.codes[part] = ExitCode.FAILED if end.code is None else end.code
+    parts.codes[part] = ExitCode.FAILED if end.code is None else end.code
     if step is Step.FAILED:
         why = "it was cancelled" if end.final else _reason(end.code)
         if not end.final and next_step(end.code, 0) is Step.AGAIN:
@@ -163,14 +163,14 @@ def _follow_up(launch: Launch, standing: Standing, part: int, end: Ended) -> Non
         _say(f"part {part}: {why}; {said or f'see {launch.log(part)}'}")
 
 
-def _stop(engine: Engine, standing: Standing) -> None:
+def _stop(engine: Engine, parts: Progress) -> None:
     engine.stop()
     if engine.detached:
         _say(engine.detached)
         return
     deadline = time.monotonic() + PATIENCE_SECONDS
-    while standing.running and time.monotonic() < deadline:
-        standing.running -= set(engine.ended())
+    while parts.running and time.monotonic() < deadline:
+        parts.running -= set(engine.ended())
         time.sleep(POLL_SECONDS)
 
 

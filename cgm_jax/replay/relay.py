@@ -72,10 +72,11 @@ class Relay(Future):
         Those come from all episodes, whether or not they moved the achieved goal.
         """
         uniform = jax.random.uniform(key, (5, count))
-        for_stage = uniform[4]
-        drawn = self.draw(replay, uniform[:4], distance_threshold, for_stage < self.relay_share)
+        for_places, for_stage = uniform[:4], uniform[4]
+        anywhere = for_stage < self.relay_share
+        drawn = self.draw(replay, for_places, distance_threshold, anywhere)
         place = for_stage / jnp.maximum(self.relay_share, jnp.finfo(jnp.float32).tiny)
-        staged = drawn.relabelled & (for_stage < self.relay_share)
+        staged = drawn.relabelled & anywhere
         stage = jnp.where(staged, integer_below(len(stages), place), len(stages))
         own = self.transitions(replay, drawn)
 

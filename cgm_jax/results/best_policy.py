@@ -18,7 +18,7 @@ SEED = 1000
 WIDTH = 320
 
 
-def film_best_policy(directory: RunDirectory, rows: Sequence[Row]) -> Path:
+def video_of_best_policy(directory: RunDirectory, rows: Sequence[Row]) -> Path:
     """Write figures/best_policy.gif, the first episodes of the run that succeeds most often.
 
     Args:

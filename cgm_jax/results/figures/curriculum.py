@@ -58,14 +58,14 @@ def curriculum(rows: Rows) -> Figure:
     runs = runs_of(rows)
     names = differing(runs)
     groups = grouped(runs, lambda run: (run.settings["env"], run.settings["curriculum"]))
-    pictures = [(same, key) for same in groups.values() for key in _reported(same)]
-    if not pictures:
+    shown = [(same, key) for same in groups.values() for key in _reported(same)]
+    if not shown:
         raise NothingToDraw("its curricula report nothing")
-    labels = [_labels(same, names) for same, _ in pictures]
+    labels = [_labels(same, names) for same, _ in shown]
     figure, panels = make_panels(
-        len(pictures), width=5.0 + legend_width(labels), height=3.6, columns=3
+        len(shown), width=5.0 + legend_width(labels), height=3.6, columns=3
     )
-    for panel, (same, key) in zip(panels, pictures, strict=True):
+    for panel, (same, key) in zip(panels, shown, strict=True):
         if any(isinstance(row.get(key), list) for row in rows_of(same)):
             _draw_array(panel, best_setting(same), key, names)
         else:

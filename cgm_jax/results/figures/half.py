@@ -81,8 +81,8 @@ def epochs_to_half(rows: Rows) -> Figure:
     wide = legend_width([[line.label for line in panel.lines] for panel in panels])
     figure, axes = make_panels(len(panels), width=5.0 + wide, height=4.0)
     axis = _axis(over, runs)
-    for picture, panel in zip(axes, panels, strict=True):
-        _draw_panel(picture, panel, axis)
+    for own_axes, panel in zip(axes, panels, strict=True):
+        _draw_panel(own_axes, panel, axis)
     return figure
 
 
@@ -99,7 +99,7 @@ def _axis(name: str, runs: Sequence[TrainedRun]) -> Axis:
     return Axis(name, {value: float(i) for i, value in enumerate(values)}, in_order=False)
 
 
-def _draw_panel(picture: Axes, panel: Panel, axis: Axis) -> None:
+def _draw_panel(axes: Axes, panel: Panel, axis: Axis) -> None:
     lengths = {run.rows[-1]["env_steps"] / run.rows[-1]["epoch"] for run in panel.runs}
     unit = "epoch" if len(lengths) == 1 else "env_steps"
     points = []
@@ -107,18 +107,18 @@ def _draw_panel(picture: Axes, panel: Panel, axis: Axis) -> None:
         without = [run for run in line.runs if run.settings.get(axis.name) is None]
         having = [run for run in line.runs if run.settings.get(axis.name) is not None]
         if having:
-            points += _draw_points(picture, line, having, axis, unit)
+            points += _draw_points(axes, line, having, axis, unit)
         if without:
             point = _point(without, unit)
             points.append(point)
-            _draw_level(picture, line, point, remarks(without))
-    _decorate(picture, axis, points, unit, lengths)
-    picture.set_title(panel.title, fontsize=10)
-    add_legend(picture)
+            _draw_level(axes, line, point, remarks(without))
+    _decorate(axes, axis, points, unit, lengths)
+    axes.set_title(panel.title, fontsize=10)
+    add_legend(axes)
 
 
 def _draw_points(
-    picture: Axes, line: Line, runs: Sequence[TrainedRun], axis: Axis, unit: str
+    axes: Axes, line: Line, runs: Sequence[TrainedRun], axis: Axis, unit: str
 ) -> list[Point]:
     """One line: quartiles over runs, at each value, of when they first hold 50 %."""
     by_value = sorted(
@@ -131,25 +131,25 @@ def _draw_points(
     reached = reached.astype(bool)
     colour, style = line.colour, line.style if axis.in_order else "none"
     label = (line.label or "median over seeds") + remarks(runs)
-    (drawn,) = picture.plot(places, median, linestyle=style, label=label, color=colour, zorder=3)
-    picture.plot(places[reached], median[reached], "o", color=colour, zorder=4)
-    picture.plot(places[~reached], median[~reached], "o", color=colour, mfc="white", zorder=4)
+    (drawn,) = axes.plot(places, median, linestyle=style, label=label, color=colour, zorder=3)
+    axes.plot(places[reached], median[reached], "o", color=colour, zorder=4)
+    axes.plot(places[~reached], median[~reached], "o", color=colour, mfc="white", zorder=4)
     if not axis.in_order:
         drawn.set_marker("o")  # for the legend
     if any(len(same) > 1 for _, same in by_value):
         if axis.in_order and len(places) > 1:
-            picture.plot(places, low, linestyle="--", linewidth=0.8, color=colour)
-            picture.plot(places, high, linestyle="--", linewidth=0.8, color=colour)
+            axes.plot(places, low, linestyle="--", linewidth=0.8, color=colour)
+            axes.plot(places, high, linestyle="--", linewidth=0.8, color=colour)
         else:
-            picture.vlines(places, low, high, color=colour, linewidth=0.8, linestyle="--")
+            axes.vlines(places, low, high, color=colour, linewidth=0.8, linestyle="--")
     return points
 
 
-def _draw_level(picture: Axes, line: Line, point: Point, remark: str) -> None:
+def _draw_level(axes: Axes, line: Line, point: Point, remark: str) -> None:
     label = line.label or "without it"
     label += "" if point.reached else ", not reached"
     style = "-." if line.style == "-" else line.style
-    picture.axhline(point.median, color=line.colour, linestyle=style, label=label + remark)
+    axes.axhline(point.median, color=line.colour, linestyle=style, label=label + remark)
 
 
 def _point(runs: Sequence[TrainedRun], unit: str) -> Point:
@@ -161,32 +161,30 @@ def _point(runs: Sequence[TrainedRun], unit: str) -> Point:
 
 
 def _decorate(
-    picture: Axes, axis: Axis, points: Sequence[Point], unit: str, lengths: set[float]
+    axes: Axes, axis: Axis, points: Sequence[Point], unit: str, lengths: set[float]
 ) -> None:
     """Axes, and what open points and epochs mean."""
     last = max(point.last for point in points)
     if not all(point.reached for point in points):
-        _explain_open(picture, {point.last for point in points}, unit)
+        _explain_open(axes, {point.last for point in points}, unit)
     if axis.name == "c_g":
-        picture.set_xlabel("target success rate $c_g$ (%)")
+        axes.set_xlabel("target success rate $c_g$ (%)")
     else:
-        picture.set_xlabel("$\\kappa$" if axis.name == "kappa" else axis.name.replace("_", " "))
+        axes.set_xlabel("$\\kappa$" if axis.name == "kappa" else axis.name.replace("_", " "))
     places = list(axis.places.values())
     if not axis.in_order:
         texts = [_tick(axis.name, value) for value in axis.places]
         long = max(map(len, texts)) * len(texts) > 40
-        picture.set_xticks(
-            places, texts, rotation=30 if long else 0, ha="right" if long else "center"
-        )
-        picture.set_xlim(-0.5, len(places) - 0.5)
+        axes.set_xticks(places, texts, rotation=30 if long else 0, ha="right" if long else "center")
+        axes.set_xlim(-0.5, len(places) - 0.5)
     elif min(places) > 0 and max(places) > WIDE * min(places):
-        picture.set_xscale("log")
-    picture.set_ylim(0, last * 1.12)
+        axes.set_xscale("log")
+    axes.set_ylim(0, last * 1.12)
     if unit == "epoch":
         (length,) = lengths
-        picture.set_ylabel("epochs to 50 % success")
-        picture.yaxis.set_major_locator(MaxNLocator(integer=True))
-        picture.annotate(
+        axes.set_ylabel("epochs to 50 % success")
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.annotate(
             f"an epoch: {length:,.0f} env_steps",
             (0.98, 0.02),
             xycoords="axes fraction",
@@ -195,8 +193,8 @@ def _decorate(
             color="grey",
         )
     else:
-        picture.set_ylabel("env_steps to 50 % success")
-        picture.yaxis.set_major_formatter(lambda steps, _: f"{steps:,.0f}")
+        axes.set_ylabel("env_steps to 50 % success")
+        axes.yaxis.set_major_formatter(lambda steps, _: f"{steps:,.0f}")
 
 
 def _tick(name: str, value: Any) -> str:
@@ -204,14 +202,14 @@ def _tick(name: str, value: Any) -> str:
     return setting_text(name, value) if named else value_text(value)
 
 
-def _explain_open(picture: Axes, lasts: set[float], unit: str) -> None:
+def _explain_open(axes: Axes, lasts: set[float], unit: str) -> None:
     last = max(lasts)
     text = "not within the training (open)"
     if len(lasts) == 1:
-        picture.axhline(last, color="grey", linewidth=0.8, linestyle=":")
+        axes.axhline(last, color="grey", linewidth=0.8, linestyle=":")
         name = unit if unit == "env_steps" else "epoch" if last == 1 else "epochs"
         text = f"not within {last:,} {name} (open)"
-    picture.annotate(
+    axes.annotate(
         text,
         (0.02, last),
         xycoords=("axes fraction", "data"),

@@ -6,7 +6,7 @@ from typing import Any
 
 from cgm_jax.results.figures.runs import TrainedRun
 
-LONGEST = 44
+MAX_CHARACTERS = 44
 """Characters of one value; the middle of a longer one is left out."""
 
 TITLE_WIDTH = 54
@@ -113,9 +113,9 @@ def _short(value: str) -> str:
     """Without its folders, and without its middle if it is long."""
     if ".py" in value:
         value = Path(value).name
-    if len(value) <= LONGEST:
+    if len(value) <= MAX_CHARACTERS:
         return value
-    half = (LONGEST - 3) // 2
+    half = (MAX_CHARACTERS - 3) // 2
     return f"{value[:half]}...{value[-half:]}"
 
 

@@ -10,8 +10,8 @@ from string import Template
 from typing import Any
 
 from cgm_jax.results.page.data import page_data
-from cgm_jax.results.page.films import film_figures
 from cgm_jax.results.page.sweeps import Sweep
+from cgm_jax.results.page.videos import video_figures
 from cgm_jax.storage.files import replacing
 
 FOLDER = Path(__file__).parent
@@ -44,8 +44,8 @@ def page_text(sweeps: Sequence[Sweep], reload_seconds: float | None = None) -> s
     data = page_data(sweeps)
     data["reload"] = reload_seconds
     labels = [sweep["label"] for sweep in data["sweeps"]]
-    films = "".join(
-        film_figures(sweep.path, label) for sweep, label in zip(sweeps, labels, strict=True)
+    videos = "".join(
+        video_figures(sweep.path, label) for sweep, label in zip(sweeps, labels, strict=True)
     )
     return Template(_read("page.html")).substitute(
         title=escape(", ".join(labels).encode(errors="replace").decode()),
@@ -53,7 +53,7 @@ def page_text(sweeps: Sequence[Sweep], reload_seconds: float | None = None) -> s
         libraries="\n".join(f"<script>{_read(name)}</script>" for name in LIBRARIES),
         program="\n".join(_read(f"js/{name}.js") for name in PROGRAMS),
         data=packed(data),
-        films=films,
+        videos=videos,
     )
 
 

@@ -42,5 +42,5 @@ function drawSweeps() {
       failed.map((run) => [run.name, sweeps[run.sweep].label, String(run.failed.epoch), run.failed.text])))] : []),
     element("details", {}, element("summary", {}, `All other settings (${report.common.length})`),
       scrolled(table([{ title: "Setting" }, { title: "Value" }], report.common))));
-  at("films").hidden = !document.querySelector(".films figure");
+  at("videos").hidden = !document.querySelector(".videos figure");
 }

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cgm_jax.results.page.data import page_data
-from cgm_jax.results.page.films import MAX_BYTES
 from cgm_jax.results.page.page import FOLDER, LIBRARIES, PROGRAMS, page_text, unpacked, write_page
 from cgm_jax.results.page.sweeps import read_sweep
+from cgm_jax.results.page.videos import MAX_BYTES
 from tests.cgm_jax.results.page.made import TROUBLE, directory, grid, masks, timed_run, troubled
 
 GIF = b"GIF89a\x01\x00\x01\x00\x80\x00\x00\x00\x00\x00\xff\xff\xff!\xf9\x04\x01\x00\x00\x00\x00,"
@@ -67,13 +67,13 @@ def test_videos_are_in_the_page_and_links_are_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = grid(tmp_path / "run", seeds=1, epochs=3)
-    (path / "films").mkdir()
-    (path / "films/best.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42")
+    (path / "videos").mkdir()
+    (path / "videos/best.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42")
     (path / "secret.gif").symlink_to(tmp_path / "elsewhere.gif")
     with (path / "huge.mp4").open("wb") as file:
         file.truncate(MAX_BYTES + 1)
     (video,) = Tags(page_text([read_sweep(path)])).named("video")
-    assert video["aria-label"] == "run/films/best.mp4"
+    assert video["aria-label"] == "run/videos/best.mp4"
     assert video["src"] == "data:video/mp4;base64,AAAAGGZ0eXBtcDQy"
     assert "huge.mp4 is not in the page" in capsys.readouterr().err
 

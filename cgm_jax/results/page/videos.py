@@ -12,17 +12,17 @@ KINDS = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
 MAX_BYTES = 32 * 2**20
 """Of one video; a browser has to keep all of them in memory."""
 
-MAX_FILMS = 24
+MAX_VIDEOS = 24
 
 
-def film_figures(path: Path, label: str) -> str:
+def video_figures(path: Path, label: str) -> str:
     """All videos of a run directory as HTML; of those left out a line on standard error."""
     shown = []
-    for file in _films(path):
+    for file in _videos(path):
         try:
             size = file.stat().st_size
-            if size > MAX_BYTES or len(shown) == MAX_FILMS:
-                reason = f"{size:,} bytes" if size > MAX_BYTES else f"more than {MAX_FILMS} videos"
+            if size > MAX_BYTES or len(shown) == MAX_VIDEOS:
+                reason = f"{size:,} bytes" if size > MAX_BYTES else f"more than {MAX_VIDEOS} videos"
                 print(f"{file} is not in the page: {reason}", file=sys.stderr)
                 continue
             shown.append(_figure(file, f"{label}/{file.relative_to(path)}"))
@@ -31,7 +31,7 @@ def film_figures(path: Path, label: str) -> str:
     return "".join(shown)
 
 
-def _films(path: Path) -> Iterator[Path]:
+def _videos(path: Path) -> Iterator[Path]:
     """Regular files only: a link in a directory from elsewhere leads anywhere."""
     for folder, folders, files in os.walk(path):
         folders.sort()
