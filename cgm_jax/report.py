@@ -28,7 +28,7 @@ LOOK_SECONDS = 2.0
 RELOAD_SECONDS = 10.0
 """Between two looks of an open page at its own file."""
 
-State = list[tuple[int, int] | None]
+FileStamps = list[tuple[int, int] | None]
 """Sizes and times of files, None for one that is not there."""
 
 
@@ -110,7 +110,7 @@ def _follow(
     options: ReportOptions,
     out: Path,
     sweeps: "Sequence[Sweep]",
-    seen: State,
+    seen: FileStamps,
     interruption: Interruption,
 ) -> int:
     """Write the page again whenever metrics change; a last time, without reloading, at the end."""
@@ -128,11 +128,11 @@ def _follow(
     return ExitCode.DONE
 
 
-def _state(paths: Sequence[Path]) -> State:
+def _state(paths: Sequence[Path]) -> FileStamps:
     """What tells whether files have changed: sizes and times of configs and metrics."""
     from cgm_jax.storage.layout import CONFIG, METRICS
 
-    found: State = []
+    found: FileStamps = []
     for file in (path / name for path in paths for name in (CONFIG, METRICS)):
         try:
             status = file.stat()

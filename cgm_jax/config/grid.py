@@ -212,11 +212,10 @@ def _grouped(runs: Sequence[tuple[Settings, Run]]) -> list[Group]:
     for _, run in runs:
         other = named.setdefault(run.name, run)
         if other is not run:
-            kind = next(kind for kind in NAMES if run.values[kind] != other.values[kind])
-            raise SettingError(
-                f"{kind}: {other.values[kind]} and {run.values[kind]} would give their runs the "
-                "same names; rename one of them"
-            )
+            values = {name: (other.values[name], run.values[name]) for name in run.values}
+            name = next(name for name in (*NAMES, *values) if len(set(map(repr, values[name]))) > 1)
+            one, another = values[name]
+            raise SettingError(f"{name}: {one} and {another} would give their runs the same names")
     groups: dict[Any, list[Run]] = {}
     for settings, run in runs:
         groups.setdefault(structure(settings, run.hyper), []).append(run)

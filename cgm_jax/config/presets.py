@@ -29,13 +29,11 @@ _CPU: Grid = {
 # of experiments/plans.toml. Whether masks help beside that, five seeds do not tell.
 _PUSH: Grid = {"relabelling": ["relay"], "relay_share": [0.15]}
 
-# The same; and something carried is let go at the next random action, so as many of them, but in a
-# row. Pushing does not need that, and learned a little faster without.
-_PICK_AND_PLACE: Grid = {
-    "relabelling": ["relay"],
-    "relay_share": [0.2],
-    "random_action_steps": [5],
-}
+# Something carried is let go at the next random action; so as many of them, but in a row. Pushing
+# does not need that, and learned a little faster without.
+_CARRYING: Grid = {"random_action_steps": [5]}
+
+_PICK_AND_PLACE: Grid = {"relabelling": ["relay"], "relay_share": [0.2], **_CARRYING}
 
 # They need HER, wider networks and more steps than reach; so `quick` has fewer points of them.
 _FEW_POINTS: Grid = {
@@ -109,7 +107,7 @@ PRESETS: dict[str, Grid] = {
 BY_ENV: dict[str, dict[str, Grid]] = {
     "quick": {
         "push": {**_CPU, **_FEW_POINTS, "epochs": [20]},
-        "pick_and_place": {**_CPU, **_FEW_POINTS, "random_action_steps": [5], "epochs": [40]},
+        "pick_and_place": {**_CPU, **_FEW_POINTS, **_CARRYING, "epochs": [40]},
     },
     "cpu": {
         "reach": {"epochs": [3]},

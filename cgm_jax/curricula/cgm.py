@@ -188,4 +188,4 @@ def joint_success_rates(
     """
     achieved = jnp.all((masks == 0) | (history.successes[:, None] > 0), axis=-1)  # [h, m]
     product = mask_success_rates(masks, subgoal_rates(history, c_g))
-    return success_rates(SuccessHistory(achieved, history.count), product)
+    return success_rates(SuccessHistory(achieved.astype(jnp.float32), history.count), product)

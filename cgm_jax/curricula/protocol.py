@@ -6,7 +6,7 @@ included, so that a sweep varies every traced setting in one program. In order o
 
     goals = curriculum.sample(state, key, drawn, view)    # before E training episodes
     state = curriculum.after_training(state, outcomes)    # after them
-    state = curriculum.after_evaluation(state, outcomes)  # at the end of an epoch, noise-free
+    state = curriculum.after_evaluation(state, outcomes, examined)  # at the end of an epoch
 
 A new curriculum is one new file with one class derived from `Curriculum`; what it does not define
 is inherited.

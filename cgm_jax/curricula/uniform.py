@@ -23,7 +23,7 @@ class Uniform(Curriculum[Float[Array, " masks"]]):
     def init(self, sizes: Sizes) -> Float[Array, " masks"]:
         """The probability of every mask."""
         masks = 2**sizes.goal if sizes.goal <= MAX_TABULATED else 0
-        return jnp.full(masks, 0.5**sizes.goal)
+        return jnp.full(masks, 0.5**sizes.goal, jnp.float32)
 
     def sample(
         self, state: Float[Array, " masks"], key: jax.Array, drawn: Goals, view: View

@@ -21,12 +21,12 @@ def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
     """
     last = list({row["run"]: row for row in rows}.values())
     print("\n".join(summary_lines(last) + physics_lines(rows)))
-    draw_figures_of(directory)
+    try_to_draw_figures(directory)
     print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
-    return verdict(last)
+    return exit_code_of(last)
 
 
-def draw_figures_of(directory: RunDirectory) -> list[Path]:
+def try_to_draw_figures(directory: RunDirectory) -> list[Path]:
     """Draw what can be drawn; training is done, and its outcome does not depend on it."""
     try:
         from cgm_jax.results.figures import draw_figures
@@ -56,7 +56,7 @@ def show_results(
     tracking.show(shown, max(row["epoch"] for row in rows))
 
 
-def verdict(rows: Sequence[Mapping[str, Any]]) -> int:
+def exit_code_of(rows: Sequence[Mapping[str, Any]]) -> int:
     """The exit code for the last row of every run; says which is not as it should be."""
     diverged = sum(row["failure"] is not None for row in rows)
     if diverged:

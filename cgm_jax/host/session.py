@@ -16,7 +16,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, owns_process, print_restored
-from cgm_jax.host.conclusion import draw_figures_of, show_results, verdict
+from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import (
     check_devices,
@@ -281,12 +281,12 @@ def _train(
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
         print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
-    figures = draw_figures_of(directory)
+    figures = try_to_draw_figures(directory)
     if rows is not None and tracking.name is not None:
         show_results(directory, rows, figures, tracking)
     if options.csv or directory.has_csv():
         directory.write_csv()
-    return ExitCode.STOPPED if rows is None else verdict(rows)
+    return ExitCode.STOPPED if rows is None else exit_code_of(rows)
 
 
 def _how_to_resume(out: Path, tracker: str | None) -> str:

@@ -24,7 +24,7 @@ DEVICE_COUNT = "xla_force_host_platform_device_count"
 def prepare_jax(cpu_devices: int = 1) -> None:
     """Compile fast, keep compiled programs between processes, and give the same bits anywhere.
 
-    Variables and flags that the user has set are left alone.
+    Variables and flags that the user has set are left alone; `training.SELDOM_RUN` outranks them.
 
     Args:
         cpu_devices: how many devices of a CPU are to share the runs. JAX makes two if it is one:

@@ -78,8 +78,8 @@ class Engine(Protocol):
 
 
 @dataclass
-class Progress:
-    """Progress of all parts.
+class Parts:
+    """What has become of all parts.
 
     Attributes:
         waiting: parts to be attempted, and the time before which not.
@@ -114,7 +114,7 @@ def supervise(
     engine.begin(launch)
     for part in epochs:
         append_event(launch.record(part), "launched")
-    parts = Progress(dict.fromkeys(epochs, 0.0))
+    parts = Parts(dict.fromkeys(epochs, 0.0))
     metrics = {part: launch.out(part) / "metrics.jsonl" for part in epochs}
     with JointProgress(metrics, epochs) as progress:
         while parts.waiting or parts.running:
@@ -129,7 +129,7 @@ def supervise(
     return parts.codes
 
 
-def _start(engine: Engine, parts: Progress) -> None:
+def _start(engine: Engine, parts: Parts) -> None:
     now = time.monotonic()
     due = [part for part, when in parts.waiting.items() if when <= now][: engine.room()]
     taken = engine.start(due) if due else []
@@ -141,7 +141,7 @@ def _start(engine: Engine, parts: Progress) -> None:
             parts.waiting[part] = now + MAX_DELAY
 
 
-def _follow_up(launch: Launch, parts: Progress, part: int, end: Ended) -> None:
+def _follow_up(launch: Launch, parts: Parts, part: int, end: Ended) -> None:
     """Decide what becomes of a part whose attempt has ended."""
     parts.running.discard(part)
     fruitless = fruitless_attempts(launch.record(part), launch.out(part))
@@ -163,7 +163,7 @@ def _follow_up(launch: Launch, parts: Progress, part: int, end: Ended) -> None:
         _say(f"part {part}: {why}; {said or f'see {launch.log(part)}'}")
 
 
-def _stop(engine: Engine, parts: Progress) -> None:
+def _stop(engine: Engine, parts: Parts) -> None:
     engine.stop()
     if engine.detached:
         _say(engine.detached)

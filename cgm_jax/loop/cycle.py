@@ -15,7 +15,7 @@ from cgm_jax.loop.learning import learn, learn_part, parts_of_updates
 from cgm_jax.loop.normaliser import observe
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup
-from cgm_jax.loop.state import EpochStatistics, TrainingState, count
+from cgm_jax.loop.state import EpochStatistics, TrainingState, count_true
 from cgm_jax.replay.future import moved_goal
 from cgm_jax.replay.ring import insert, size
 
@@ -170,9 +170,9 @@ def _count(statistics: EpochStatistics, rollout: Rollout, threshold: float) -> E
     valid = outcomes.valid
     moved = moved_goal(rollout.episodes.achieved_goal, threshold)
     statistics = statistics.replace(
-        episodes=statistics.episodes + count(valid),
-        moved_episodes=statistics.moved_episodes + count(valid & moved),
-        physics_warnings=statistics.physics_warnings + count(~valid),
+        episodes=statistics.episodes + count_true(valid),
+        moved_episodes=statistics.moved_episodes + count_true(valid & moved),
+        physics_warnings=statistics.physics_warnings + count_true(~valid),
     )
     if not statistics.mask_episodes.size:
         return statistics

@@ -114,7 +114,7 @@ def own_rows(team: Team, tree: Tree) -> tuple[Tree, jax.Array]:
     """Inside `on_each`: a device's rows of what has a leading axis of all runs.
 
     Returns:
-        The rows, those left over as in the last run; and how many are not left over.
+        The rows, those left over being those of some run; and how many are not left over.
     """
     runs = len(jax.tree.leaves(tree)[0])
     each = team.each(runs)

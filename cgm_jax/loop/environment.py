@@ -65,6 +65,13 @@ def compiles_physics(env: GoalEnvironment) -> bool:
     return getattr(env, "is_large", False)
 
 
+def calls_physics(env: GoalEnvironment) -> bool:
+    """Whether an environment calls its physics outside of XLA: MuJoCo's own, or another process."""
+    if isinstance(env, FetchEnvironment):
+        return isinstance(env.physics, NativePhysics)
+    return isinstance(env, HostedTask)
+
+
 def _hosted(name: str) -> GoalEnvironment:
     """A Gymnasium goal environment, in a process of its own."""
     module, env_id = gymnasium_name(name)

@@ -13,7 +13,7 @@ from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.rollout import Policy, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup, sizes
-from cgm_jax.loop.state import EpochStatistics, TrainingState, count, init_statistics
+from cgm_jax.loop.state import EpochStatistics, TrainingState, count_true, init_statistics
 
 Metrics = dict[str, jax.Array]
 
@@ -27,11 +27,11 @@ def evaluate(
     metrics.jsonl holds. What the curriculum reports is what the epoch was trained with, so before
     this evaluation. Evaluation steps do not count as `env_steps`.
     """
-    changed, metrics = evaluated(setup, state, hyper)
+    changed, metrics = changes_of_evaluation(setup, state, hyper)
     return state.replace(**changed), metrics
 
 
-def evaluated(
+def changes_of_evaluation(
     setup: Setup, state: TrainingState, hyper: Hyperparameters
 ) -> tuple[dict[str, Any], Metrics]:
     """Like `evaluate`, but of the state only the fields that change, by their names."""
@@ -40,21 +40,21 @@ def evaluated(
     goals = drawn_goals(setup.env, first)
     outcomes = roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals).outcomes
     valid = outcomes.valid
-    episodes = count(valid)
-    broken, examined = count(~valid), None
+    episodes = count_true(valid)
+    broken, examined = count_true(~valid), None
     masks = hyper.curriculum.examination(sizes(setup, hyper))
     if masks is not None:
         first = reset(setup.env, examination_key, len(masks))
         goals = drawn_goals(setup.env, first).replace(mask=masks)
         policy = final_policy(setup, state, hyper, goals)
         examined = roll_out(setup.env, policy, first, goals).outcomes
-        broken += count(~examined.valid)
+        broken += count_true(~examined.valid)
     metrics = {
         "env_steps": state.env_steps,
         "updates": state.updates,
-        "success_rate": _share(count(valid & outcomes.success), episodes),
+        "success_rate": _share(count_true(valid & outcomes.success), episodes),
         "subgoal_success": _share(
-            count(valid[:, None] & outcomes.subgoal_success, axis=0), episodes
+            count_true(valid[:, None] & outcomes.subgoal_success, axis=0), episodes
         ),
         **hyper.curriculum.report(state.curriculum),
         **_training_metrics(state.statistics),

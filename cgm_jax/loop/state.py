@@ -76,6 +76,6 @@ def init_statistics(masks: int, logged: tuple[str, ...]) -> EpochStatistics:
     )
 
 
-def count(condition: jax.Array, axis: int | None = None) -> jax.Array:
+def count_true(condition: jax.Array, axis: int | None = None) -> jax.Array:
     """How many entries are true, of all or along an axis, as statistics count: float32."""
     return jnp.sum(condition, axis, dtype=jnp.float32)

@@ -28,8 +28,8 @@ from cgm_jax.loop.devices import (
     spread_shapes,
     team_of,
 )
-from cgm_jax.loop.environment import compiles_physics
-from cgm_jax.loop.evaluation import Metrics, evaluate, evaluated
+from cgm_jax.loop.environment import calls_physics
+from cgm_jax.loop.evaluation import Metrics, changes_of_evaluation, evaluate
 from cgm_jax.loop.in_turn import in_place, in_turn
 from cgm_jax.loop.parts import init_run, parts_of_cycle, train_part
 from cgm_jax.loop.setup import Setup, make_setup
@@ -99,7 +99,8 @@ def epoch(
 
 SELDOM_RUN = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 """XLA's options for what a CPU runs seldom: it compiles in less than half the time, and runs no
-slower where physics and matrix products, which are libraries, take all of it.
+slower where physics and matrix products, which are libraries, take all of it. What XLA compiles of
+an environment would run many times slower, or compile for ever. They outrank XLA_FLAGS.
 """
 
 
@@ -147,7 +148,7 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
 
     def evaluate(states: TrainingState, hyper: Hyperparameters) -> tuple[TrainingState, Metrics]:
         own, count = own_rows(team, hyper)
-        one = partial(evaluated, trainer.setup)  # the rest would be copied for nothing
+        one = partial(changes_of_evaluation, trainer.setup)  # the rest would be copied for nothing
         changed, metrics = _over_rows(on_cpu, one, count)(states, own)
         return states.replace(**changed), metrics
 
@@ -162,7 +163,7 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
         evaluate=jax.jit(
             on_each(team, evaluate, SPREAD, ON_EACH),
             donate_argnums=0,
-            compiler_options=None if compiles_physics(trainer.setup.env) else seldom,
+            compiler_options=seldom if calls_physics(trainer.setup.env) else None,
         ),
     )
 

@@ -11,8 +11,10 @@ from pathlib import Path
 from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.files import replacing
 
-FORMAT = 2
-"""Of checkpoints, in the manifest. Format 1 had no such entry; its arrays are read if they fit."""
+FORMAT = 3
+"""Of checkpoints, in the manifest. Format 1 had no such entry; curriculum `uniform` had no state
+before format 3. Arrays of older formats are read if they fit.
+"""
 
 NAME = re.compile(r"group[0-9]{1,9}_epoch[0-9]{1,10}_cycle[0-9]{1,10}(_part[0-9]{1,10})?\.npz")
 """Of a checkpoint; what else lies beside them is nobody's business."""

@@ -126,7 +126,8 @@ def _version(package: str) -> str | None:
 def _commit() -> str | None:
     """The commit of this checkout, marked if it has changes; None in an installed wheel.
 
-    Asked for once: what a process runs stays what it was when the checkout moves on.
+    Asked for once, since a process does not follow when the checkout moves on, but for what it has
+    not imported yet.
     """
     checkout = Path(__file__).parents[2]
     if not (checkout / ".git").exists():

@@ -17,6 +17,8 @@ from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, Trainer
 from cgm_jax.measuring.compilations import programs_compiled
 
+KEY = jax.random.key(0).dtype
+
 
 def other_value(item: "Field[Any]") -> Any:
     """A value of a traced setting that is not its default."""
@@ -82,7 +84,9 @@ def assert_no_type_is_promoted(trainer: Trainer, hyper: Hyperparameters) -> None
     """
     first = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), hyper)
     with jax.numpy_dtype_promotion("strict"):
-        jax.eval_shape(trainer.epoch, jax.eval_shape(trainer.init, first), first)
+        state = jax.eval_shape(trainer.init, first)
+        jax.eval_shape(trainer.epoch, state, first)
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(state) if leaf.dtype != KEY)
 
 
 def assert_wrong_settings_are_refused_by_name(kind: str, name: str) -> None:

@@ -120,7 +120,7 @@ def level_probabilities(
         kappa: sharpness, scalar at least 0.
     """
     exactly = shares[0].at[-1].set(shares[1, -1])
-    success_rates = jnp.exp(-DELTA * jnp.arange(LEVELS)).at[-1].set(0.0)
+    success_rates = jnp.exp(-DELTA * jnp.arange(LEVELS, dtype=jnp.float32)).at[-1].set(0.0)
     return _difficulty_first(success_rates, exactly, c_g, kappa)
 
 

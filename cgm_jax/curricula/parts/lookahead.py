@@ -137,7 +137,7 @@ def log_weight(success_rates: jax.Array, c_g: ArrayLike, kappa: ArrayLike) -> ja
 def _interpolate(table: jax.Array, success_rates: jax.Array, kappa: ArrayLike) -> jax.Array:
     position = success_rates * (LEVELS - 1)
     index = jnp.clip(position.astype(jnp.int32), 0, LEVELS - 2)
-    share = position - index
+    share = position - index.astype(position.dtype)
     below, above = table[index], table[index + 1]
     between = below * (1.0 - share) + above * share
     # V is 0 at an end of [0, 1] only where all weights ahead vanish there, as a power of kappa.

@@ -49,6 +49,11 @@ def test_values_that_differ_in_the_eighth_digit_are_two_runs() -> None:
     assert len(names({"c_g": [0.1, 0.10000001], "kappa": [32.0]})) == 2
 
 
+def test_values_too_close_to_be_told_apart_by_name_are_refused() -> None:
+    with pytest.raises(SettingError, match=r"^c_g: 0\.1 and 0\.1\d* would give their"):
+        build_groups("smoke", {"c_g": [0.1, 0.1 + 1e-13], "kappa": [32.0]})
+
+
 @pytest.mark.parametrize(("kind", "made"), [("env", "PointMass"), ("curriculum", "Growing")])
 def test_own_code_whose_runs_would_have_the_same_names_is_refused(
     kind: str, made: str, tmp_path: Path

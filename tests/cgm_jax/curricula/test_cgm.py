@@ -1,13 +1,18 @@
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cgm_jax.config.fields import stack
 from cgm_jax.curricula.cgm import CGM, joint_success_rates
 from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
 from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
-from tests.cgm_jax.curricula.small import Chances, epochs
-from tests.cgm_jax.probe import tiny
+from cgm_jax.loop.training import make_trainer
+from tests.cgm_jax.curricula.small import Chances, epochs, sizes
+from tests.cgm_jax.probe import TINY, tiny
+from tests.cgm_jax.protocols import assert_no_type_is_promoted
 
 
 def test_joint_rates_are_shares_of_rollouts_that_achieved_all_kept_dimensions() -> None:
@@ -48,6 +53,23 @@ def test_settings_are_leaves_where_traced_and_structure_where_static() -> None:
     one, other = (jax.tree.structure(CGM(success_history=h)) for h in (10, 50))
     assert one != other
     assert jax.tree.structure(CGM(c_g=0.3)) == one
+
+
+@pytest.mark.parametrize(
+    "values", [{"masked_evaluation_episodes": 1}, {"factorised": False}, {"mask_levels": True}]
+)
+def test_no_type_is_promoted_with_any_of_its_estimates(values: dict[str, Any]) -> None:
+    hyper = stack([tiny(curriculum="cgm", **values)])
+    assert_no_type_is_promoted(make_trainer(Chances(), TINY), hyper)
+
+
+@pytest.mark.parametrize("mask_levels", [False, True])
+def test_no_type_is_promoted_in_many_dimensions(mask_levels: bool) -> None:
+    curriculum = stack([CGM(c_g=0.1, kappa=4.0, mask_levels=mask_levels)])
+    curriculum = jax.tree.map(lambda leaf: leaf[0], curriculum)
+    with jax.numpy_dtype_promotion("strict"):
+        state = jax.eval_shape(lambda: curriculum.init(sizes(12)))
+        jax.eval_shape(curriculum.report, state)
 
 
 @pytest.mark.parametrize("full_share", [0.0, 0.5])

@@ -36,7 +36,7 @@ HEALTHY = {"failure": None, "success_rate": 0.0}
 def test_runs_that_are_not_as_they_should_be_are_told(
     last: list[dict[str, Any]], code: int, said: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert conclusion.verdict(last) == code
+    assert conclusion.exit_code_of(last) == code
     assert capsys.readouterr().err.splitlines() == said
 
 
@@ -62,7 +62,7 @@ def test_a_figure_that_cannot_be_drawn_is_one_line_and_the_others_are(
         raise ValueError("first\nsecond")
 
     monkeypatch.setattr(figures, "epochs_to_half", epochs_to_half)
-    conclusion.draw_figures_of(directory)
+    conclusion.try_to_draw_figures(directory)
     drawn = sorted(path.name for path in (directory.path / "figures").iterdir())
     assert drawn == ["learning_curves.png", "mask_success.png"]
     path = directory.path / "figures" / "epochs_to_half.png"
@@ -74,13 +74,13 @@ def test_metrics_that_cannot_be_read_cost_figures_and_nothing_else(
     directory: RunDirectory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (directory.path / "metrics.jsonl").write_bytes(b"\xff\n")
-    conclusion.draw_figures_of(directory)
+    conclusion.try_to_draw_figures(directory)
     assert capsys.readouterr().err.startswith("no figures drawn: UnicodeDecodeError: ")
 
 
 def test_without_any_epoch_there_is_nothing_to_draw(directory: RunDirectory) -> None:
     (directory.path / "metrics.jsonl").write_text("")
-    conclusion.draw_figures_of(directory)
+    conclusion.try_to_draw_figures(directory)
     assert not list((directory.path / "figures").iterdir())
 
 

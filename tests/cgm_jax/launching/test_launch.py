@@ -71,7 +71,7 @@ def test_bad_input_is_refused_before_anything_is_made(
     ("words", "line"),
     [
         (["--devices", "300"], "devices: 300, but the most on this cpu are 256$"),
-        (["--environments", "100000"], "memory: one run takes .* of memory, and "),
+        (["--environments", "100000"], "environments: one run takes .* of memory, and "),
         (["--env", "nosuch"], "env: unknown environment 'nosuch'; choose from "),
         (["--track", "nosuch"], "track: unknown track 'nosuch'; choose from "),
     ],
@@ -80,7 +80,7 @@ def test_what_parts_would_refuse_is_refused_before_anything_is_made(
     folder: Path, words: list[str], line: str
 ) -> None:
     with pytest.raises(SettingError, match=f"^{line}"):
-        program.main(["--jobs", "2", "--memory", "1", "--out", "out", *SMOKE, *words])
+        program.main(["--jobs", "2", "--memory", "2", "--out", "out", *SMOKE, *words])
     assert not list(folder.iterdir())
 
 

@@ -1,13 +1,15 @@
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import pytest
 
+from cgm_jax import envs
 from cgm_jax.config.fields import stack
 from cgm_jax.loop.compiler import Compiler, is_compiling
-from cgm_jax.loop.training import Programs, make_programs, make_trainer
+from cgm_jax.loop.training import SELDOM_RUN, Programs, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.protocols import assert_same
@@ -34,6 +36,32 @@ def test_training_has_the_bits_of_programs_that_compile_when_called_and_compiles
         assert_same(first, expected)
         assert_same(trained(compiler.programs(PROGRAMS, THREE)), expected)
         assert programs_compiled() == before
+
+
+@pytest.mark.parametrize(
+    ("env", "platform", "quick_to_compile"),
+    [
+        (envs.make("reach", engine="native"), "cpu", (True, False, True)),
+        (envs.make("reach", engine="mjx"), "cpu", (True, False, False)),
+        (PointMass(), "cpu", (True, False, False)),
+        (PointMass(), "gpu", (False, False, False)),
+    ],
+    ids=["native", "mjx", "own", "gpu"],
+)
+def test_only_what_runs_seldom_and_none_of_an_environments_code_is_compiled_to_start_soon(
+    env: Any, platform: str, quick_to_compile: tuple[bool, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options, jit = {}, jax.jit
+
+    def recording(function: Callable[..., Any], **given: Any) -> Any:
+        options[program := jit(function, **given)] = given.get("compiler_options")
+        return program
+
+    trainer = make_trainer(env, TINY, platform)
+    monkeypatch.setattr(jax, "jit", recording)
+    made = make_programs(trainer)
+    given = [options[program] for program in (made.start, made.train, made.evaluate)]
+    assert given == [SELDOM_RUN if quick else None for quick in quick_to_compile]
 
 
 def test_states_from_a_checkpoint_need_no_program_that_makes_states() -> None:
