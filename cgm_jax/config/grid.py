@@ -212,7 +212,7 @@ def _grouped(runs: Sequence[tuple[Settings, Run]]) -> list[Group]:
     for _, run in runs:
         other = named.setdefault(run.name, run)
         if other is not run:
-            values = {name: (other.values[name], run.values[name]) for name in run.values}
+            values = {name: (other.values.get(name), run.values[name]) for name in run.values}
             name = next(name for name in (*NAMES, *values) if len(set(map(repr, values[name]))) > 1)
             one, another = values[name]
             raise SettingError(f"{name}: {one} and {another} would give their runs the same names")

@@ -100,7 +100,7 @@ def epoch(
 SELDOM_RUN = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 """XLA's options for what a CPU runs seldom: it compiles in less than half the time, and runs no
 slower where physics and matrix products, which are libraries, take all of it. What XLA compiles of
-an environment would run many times slower, or compile for ever. They outrank XLA_FLAGS.
+an environment would run many times slower, or compile for minutes. They outrank XLA_FLAGS.
 """
 
 

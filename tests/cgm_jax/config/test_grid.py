@@ -1,7 +1,6 @@
 import dataclasses
 import itertools
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +58,9 @@ def test_own_code_whose_runs_would_have_the_same_names_is_refused(
     kind: str, made: str, tmp_path: Path
 ) -> None:
     source = EXAMPLES / {"env": "point_mass.py", "curriculum": "my_curriculum.py"}[kind]
-    for folder in ("one", "other"):
+    for folder, setting in (("one", "gain"), ("other", "growth")):
         (tmp_path / folder).mkdir()
-        shutil.copy(source, tmp_path / folder / "mine.py")
+        (tmp_path / folder / "mine.py").write_text(source.read_text().replace("gain", setting))
     both = [f"{tmp_path / folder / 'mine.py'}:{made}" for folder in ("one", "other")]
     said = f"{kind}: {both[0]} and {both[1]} would give their runs the same names"
     with pytest.raises(SettingError, match=f"^{re.escape(said)}"):
