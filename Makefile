@@ -35,9 +35,10 @@ test-slow: setup
 
 # Stable-Baselines3 takes PyTorch, which is large, and so has an environment of its own. The networks
 # are small: more threads than one would wait for each other most of the time.
-test-sb3: $(VENV)-sb3/.installed
+test-sb3: setup $(VENV)-sb3/.installed $(VENV)-compare/.installed
 	OMP_NUM_THREADS=1 $(VENV)-sb3/bin/python -m pytest tests/envs/test_stable_baselines3.py \
 	    tests/cgm_jax/gymnasium/test_stable_baselines3.py $(ARGS)
+	OMP_NUM_THREADS=1 $(RUN) -m pytest tests/experiments/other_programs/test_sb3_run.py $(ARGS)
 
 $(VENV)-sb3/.installed: requirements.lock tests/sb3-requirements.txt
 	$(PYTHON) -m venv $(VENV)-sb3

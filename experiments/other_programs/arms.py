@@ -13,7 +13,15 @@ from typing import Any
 TASKS = {"push": "FetchPush-v4", "pick_and_place": "FetchPickAndPlace-v4"}
 """Names here and in Gymnasium-Robotics, which puts half of the goals of the latter in the air."""
 
-OURS = "cgm_jax"
+OURS = {
+    "cgm_jax": ("this program, preset cpu (HER, stages, CGM)", ()),
+    "cgm_jax_plain": (
+        "the same without stages and masks",
+        ("--relabelling", "future", "--curriculum", "full"),
+    ),
+}
+"""This program's arms: a label for the figure, and options beside the preset."""
+
 EVALUATION_EPISODES = 50
 STEPS_PER_EVALUATION = 20_000
 EPISODE_LENGTH = 50
@@ -65,6 +73,9 @@ ARMS = {
 }
 
 
+NAMES = (*OURS, *ARMS)
+
+
 def label(arm: str) -> str:
     """What an arm is called in the figure."""
-    return "this program, preset cpu, own simulation" if arm == OURS else ARMS[arm].label
+    return OURS[arm][0] if arm in OURS else ARMS[arm].label

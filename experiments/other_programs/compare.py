@@ -1,9 +1,10 @@
 """This program beside Stable-Baselines3: `make compare-sb3`.
 
 Trains every arm on every task, each run on one core (where the system has `taskset`), until it has
-used its CPU seconds, from the start of its process with an empty compilation cache; this program's
-run ends with the preset. Writes the curve of each into OUT/curves, which run was made where into
-OUT/runs.csv, and the figure. Runs that are there with as many CPU seconds are not trained again.
+used its CPU seconds, from the start of its process with an empty compilation cache; a run of this
+program ends with the preset, if that is sooner. Writes the curve of each into OUT/curves, which run
+was made where into OUT/runs.csv, and the figure. Runs that are there with as many CPU seconds are
+not trained again. Other work on the machine makes CPU seconds do less.
 """
 
 import os
@@ -13,18 +14,19 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.machine.allotment import available_cores
-from cgm_jax.storage.provenance import provenance
-from experiments.other_programs.arms import ARMS, OURS, TASKS
+from cgm_jax.storage.lock import locked
+from cgm_jax.storage.provenance import commit, provenance
+from experiments.other_programs.arms import ARMS, NAMES, OURS, TASKS
 from experiments.other_programs.figure import draw
+from experiments.other_programs.runs import RUNS, Run, runs_made
 from experiments.table import read_table, write_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,7 +39,7 @@ class CompareOptions:
     cpu_seconds: float = 7200.0
     """That each run may use."""
 
-    arms: tuple[str, ...] = (OURS, *ARMS)
+    arms: tuple[str, ...] = NAMES
     """Who learns."""
 
     tasks: tuple[str, ...] = tuple(TASKS)
@@ -58,7 +60,7 @@ class CompareOptions:
         Raises:
             SettingError: one of them is not known, or out of its range.
         """
-        for name, known in (("arms", (OURS, *ARMS)), ("tasks", tuple(TASKS))):
+        for name, known in (("arms", NAMES), ("tasks", tuple(TASKS))):
             for value in getattr(self, name):
                 if value not in known:
                     raise SettingError(f"{name}: {value!r} is none of {', '.join(known)}")
@@ -66,59 +68,49 @@ class CompareOptions:
             raise SettingError(f"cpu_seconds: {self.cpu_seconds:g} is not above 0")
         if min(self.seeds) < 0:
             raise SettingError(f"seeds: {min(self.seeds)} is below 0")
-        if {*self.arms} != {OURS} and not self.python.is_file():
+        if {*self.arms} & ARMS.keys() and not self.python.is_file():
             raise SettingError(f"python: there is no {self.python}; make compare-sb3 builds it")
-
-
-class Run(NamedTuple):
-    """One curve."""
-
-    arm: str
-    task: str
-    seed: int
-
-    def path(self, out: Path) -> Path:
-        """Where its curve is kept."""
-        return out / "curves" / f"{self.arm}-{self.task}-{self.seed}.csv"
-
-    def partial(self, out: Path) -> Path:
-        """Where it is while it grows."""
-        return self.path(out).with_suffix(".partial")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(CompareOptions, arguments, "python -m experiments.other_programs.compare")
     options.check()
-    here = provenance("cpu", ())
-    made = {key: here[key] for key in ("commit", "machine")}
-    wanted = [
-        Run(arm, task, seed)
+    options.out.mkdir(parents=True, exist_ok=True)
+    with locked(options.out):
+        failures = list(train_missing(options))
+        for failure in failures:
+            print(f"error: {failure}", file=sys.stderr)
+        if failures:
+            return ExitCode.FAILED
+        draw(options.out, options.cpu_seconds)
+    return ExitCode.DONE
+
+
+def train_missing(options: CompareOptions) -> Iterator[BaseException]:
+    """Train the runs that are not there; how those failed that did."""
+    machine = provenance("cpu", ())["machine"]
+    wanted = {
+        Run(arm, task, seed): None  # in this order, each once
         for seed in options.seeds
         for task in options.tasks
         for arm in options.arms
-    ]
-    there = runs_made(options)
-    failures = []
-    for run, failure in train_all([run for run in wanted if run not in there], options):
+    }
+    there = runs_made(options.out, options.cpu_seconds)
+    for run, trained in train_all([run for run in wanted if run not in there], options):
+        failure = trained.exception()
         if failure is not None:
-            failures.append(failure)
+            yield failure
             continue
         run.partial(options.out).replace(run.path(options.out))
-        note(run, options, made)  # last: what is noted is there
+        note(run, options, {"commit": trained.result(), "machine": machine})  # now it is there
         print(f"trained: {run.arm}, {run.task}, seed {run.seed}", flush=True)
-    for failure in failures:
-        print(f"error: {failure}", file=sys.stderr)
-    if failures:
-        return ExitCode.FAILED
-    draw(options.out)
-    return ExitCode.DONE
 
 
 def train_all(
     runs: Sequence[Run], options: CompareOptions
-) -> Iterator[tuple[Run, BaseException | None]]:
-    """Train runs side by side, one on each core; each when it is over, and how it failed."""
+) -> Iterator[tuple[Run, Future[str | None]]]:
+    """Train runs side by side, one on each core; each when it is over, with what `train` gave."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
     free: queue.SimpleQueue[int] = queue.SimpleQueue()
     for core in cores[: available_cores()]:
@@ -127,30 +119,30 @@ def train_all(
         pending = {pool.submit(train, run, options, free): run for run in runs}
         try:
             for future in as_completed(pending):
-                yield pending[future], future.exception()
+                yield pending[future], future
         finally:  # stopped: what has not begun is not to begin
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> None:
-    """Train a run on a core that is free.
+def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> str | None:
+    """Train a run on a core that is free; the commit that it began at.
 
     Raises:
         RuntimeError: it has failed; with what it said.
     """
     partial = run.partial(options.out).resolve()
-    rest = (run.task, str(run.seed), str(options.cpu_seconds), str(partial))
-    if run.arm == OURS:
-        command = (sys.executable, "-m", "experiments.other_programs.our_run", *rest)
+    rest = (run.arm, run.task, str(run.seed), str(options.cpu_seconds), str(partial))
+    if run.arm in OURS:
+        program = (sys.executable, "-m", "experiments.other_programs.our_run")
     else:
-        module = "experiments.other_programs.sb3_run"
-        command = (str(options.python), "-m", module, run.arm, *rest)
+        program = (str(options.python), "-m", "experiments.other_programs.sb3_run")
     core = free.get()
+    began_at = commit()
     try:
         with tempfile.TemporaryDirectory() as cache:
             settings = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
             result = subprocess.run(
-                on_core(core, command),
+                on_core(core, (*program, *rest)),
                 cwd=ROOT,
                 env={**os.environ, **settings, "JAX_COMPILATION_CACHE_DIR": cache},
                 capture_output=True,
@@ -161,6 +153,7 @@ def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> 
         free.put(core)
     if result.returncode:
         raise RuntimeError(f"{partial.stem} has failed:\n{result.stderr}")
+    return began_at
 
 
 def on_core(core: int, command: Sequence[str]) -> Sequence[str]:
@@ -168,26 +161,16 @@ def on_core(core: int, command: Sequence[str]) -> Sequence[str]:
     return ("taskset", "--cpu-list", str(core), *command) if shutil.which("taskset") else command
 
 
-def runs_made(options: CompareOptions) -> set[Run]:
-    """Runs whose curve is there, with as many CPU seconds as are asked for."""
-    path = options.out / "runs.csv"
-    rows = read_table(path) if path.exists() else []
-    made = {
-        Run(row["arm"], row["task"], int(row["seed"]))
-        for row in rows
-        if float(row["cpu_seconds"]) == options.cpu_seconds
-    }
-    return {run for run in made if run.path(options.out).exists()}
-
-
-def note(run: Run, options: CompareOptions, made: Mapping[str, str]) -> None:
+def note(run: Run, options: CompareOptions, made: Mapping[str, str | None]) -> None:
     """Keep with which CPU seconds, and where, a run was made: a row each."""
-    path = options.out / "runs.csv"
+    path = options.out / RUNS
     row = {**run._asdict(), "cpu_seconds": options.cpu_seconds, **made}
     others = read_table(path) if path.exists() else []
     named = {name: str(value) for name, value in run._asdict().items()}
     kept = [other for other in others if {name: other[name] for name in named} != named]
-    write_table(path, [*kept, row])
+    partial = path.with_suffix(".partial")
+    write_table(partial, [*kept, row])
+    partial.replace(path)
 
 
 if __name__ == "__main__":

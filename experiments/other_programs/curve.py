@@ -1,9 +1,11 @@
 """What every run writes while it learns. Needs no packages."""
 
 import csv
+import os
 import resource
 from pathlib import Path
 
+PARENT = os.getppid()
 COLUMNS = ("env_steps", "cpu_s", "success_rate")
 
 
@@ -11,6 +13,11 @@ def cpu_seconds() -> float:
     """Of this process and those that it has waited for, since it began."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def is_wanted() -> bool:
+    """Whether the program that started this one is still there to take the curve."""
+    return os.getppid() == PARENT
 
 
 def begin(path: Path) -> None:

@@ -9,40 +9,42 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.markdown import counted
-from experiments.other_programs.arms import ARMS, OURS, TASKS, label
+from experiments.other_programs.arms import NAMES, TASKS, label
+from experiments.other_programs.runs import runs_made
 from experiments.table import read_table
 
 AXES = {"cpu_s": "CPU seconds, one core", "env_steps": "environment steps"}
-COLOURS = dict(zip((OURS, *ARMS), ("tab:blue", "tab:red", "tab:orange", "tab:brown"), strict=True))
+COLOURS = dict(
+    zip(NAMES, ("tab:blue", "tab:cyan", "tab:red", "tab:orange", "tab:brown"), strict=True)
+)
 Curve = Mapping[str, np.ndarray]
 
 
-def curves_in(out: Path) -> dict[tuple[str, str], list[Curve]]:
-    """Curves by task and arm, one per seed: arrays by column."""
+def curves_in(out: Path, cpu_seconds: float) -> dict[tuple[str, str], list[Curve]]:
+    """Curves of so many CPU seconds by task and arm, one per seed: arrays by column."""
     found: dict[tuple[str, str], list[Curve]] = defaultdict(list)
-    for path in sorted((out / "curves").glob("*.csv")):
-        arm, task, _ = path.stem.split("-")
-        rows = read_table(path)
-        if rows:
-            found[task, arm].append({x: np.array([float(r[x]) for r in rows]) for x in rows[0]})
+    for run in runs_made(out, cpu_seconds):
+        rows = read_table(run.path(out))
+        columns = {x: np.array([float(row[x]) for row in rows]) for x in rows[0]}
+        found[run.task, run.arm].append(columns)
     return dict(found)
 
 
-def draw(out: Path) -> Path:
-    """Draw what is in OUT/curves into OUT/comparison.png; the path.
+def draw(out: Path, cpu_seconds: float) -> Path:
+    """Draw the curves of so many CPU seconds in OUT into OUT/comparison.png; the path.
 
     Raises:
         ValueError: there is no curve.
     """
-    curves = curves_in(out)
+    curves = curves_in(out, cpu_seconds)
     tasks = [task for task in TASKS if any(key[0] == task for key in curves)]
     if not tasks:
-        raise ValueError(f"{out / 'curves'}: there is no curve")
+        raise ValueError(f"{out}: there is no curve of {cpu_seconds:g} CPU seconds")
     size = (12.0, 4.0 * len(tasks) + 0.6)
     figure, panels = plt.subplots(len(tasks), 2, figsize=size, squeeze=False, sharey=True)
     for row, task in zip(panels, tasks, strict=True):
         for panel, (axis, title) in zip(row, AXES.items(), strict=True):
-            for arm in (OURS, *ARMS):
+            for arm in NAMES:
                 draw_arm(panel, curves.get((task, arm), []), axis, arm)
             panel.set_xscale("log")
             panel.set_xlabel(title)

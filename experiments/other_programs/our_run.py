@@ -1,6 +1,6 @@
 """One run of this program, with the preset `cpu`, on its own simulation of the task.
 
-    python -m experiments.other_programs.our_run TASK SEED CPU_SECONDS OUT.csv
+    python -m experiments.other_programs.our_run ARM TASK SEED CPU_SECONDS OUT.csv
 
 Half of the goals of pick-and-place are in the air, as in Gymnasium-Robotics.
 """
@@ -17,7 +17,10 @@ from typing import Any
 from cgm_jax import train
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.results.trackers.protocol import Tracker
-from experiments.other_programs.curve import add, begin, cpu_seconds
+from cgm_jax.storage.layout import METRICS
+from experiments.other_programs.arms import OURS
+from experiments.other_programs.curve import add, begin, cpu_seconds, is_wanted
+from experiments.table import read_table
 
 PATH, LIMIT = "CURVE_PATH", "CURVE_CPU_SECONDS"
 """Variables that tell the tracker where to write, and when to end."""
@@ -34,7 +37,7 @@ class Curve(Tracker):
     def metrics(self, run: str, epoch: int, values: Mapping[str, float]) -> None:
         """Add an evaluation."""
         add(Path(os.environ[PATH]), int(values["env_steps"]), values["success_rate"])
-        if cpu_seconds() > float(os.environ[LIMIT]):
+        if cpu_seconds() > float(os.environ[LIMIT]) or not is_wanted():
             os.kill(os.getpid(), signal.SIGTERM)
 
     def files(self, run: str, epoch: int, paths: Mapping[str, Path]) -> None:
@@ -44,21 +47,29 @@ class Curve(Tracker):
         """All is written."""
 
 
-def main(task: str, seed: int, limit: float, path: Path, preset: str = "cpu") -> int:
-    """Train until the CPU seconds are used up, or for the preset's epochs; the exit code."""
+def main(arm: str, task: str, seed: int, limit: float, path: Path, preset: str = "cpu") -> int:
+    """Train until the CPU seconds are used up, or for the preset's epochs; the exit code.
+
+    Raises:
+        RuntimeError: the curve lacks evaluations.
+    """
     os.environ |= {PATH: str(path.resolve()), LIMIT: str(limit)}
     begin(path)
-    options = ["--preset", preset, "--env", task, "--seed", str(seed)]
+    options = ["--preset", preset, "--env", task, "--seed", str(seed), *OURS[arm][1]]
     if task == "pick_and_place":
         options += ["--air-probability", "0.5"]
     with tempfile.TemporaryDirectory() as directory:
-        out = ["--out", str(Path(directory) / "run"), "--track", f"{__file__}:Curve"]
-        code = train.main([*options, *out])
+        run = Path(directory) / "run"
+        code = train.main([*options, "--out", str(run), "--track", f"{__file__}:Curve"])
+        evaluations = len((run / METRICS).read_bytes().splitlines())
+    if len(read_table(path)) != evaluations:  # training goes on without a tracker that fails
+        raise RuntimeError(f"{path} has not all {evaluations} evaluations")
     used_up = code == ExitCode.STOPPED and cpu_seconds() > limit
     return ExitCode.DONE if used_up or code == ExitCode.DIVERGED else code
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 5:
+    if len(sys.argv) != 6:
         sys.exit(__doc__)
-    sys.exit(main(sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), Path(sys.argv[4])))
+    _, arm, task, seed, limit, path = sys.argv
+    sys.exit(main(arm, task, int(seed), float(limit), Path(path)))

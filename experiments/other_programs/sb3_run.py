@@ -31,7 +31,7 @@ from experiments.other_programs.arms import (
     TASKS,
     Arm,
 )
-from experiments.other_programs.curve import add, begin, cpu_seconds
+from experiments.other_programs.curve import add, begin, cpu_seconds, is_wanted
 
 
 class Curve(BaseCallback):
@@ -47,6 +47,8 @@ class Curve(BaseCallback):
 
     def _on_step(self) -> bool:
         """After each step of all environments."""
+        if not is_wanted():
+            return False
         going_on = cpu_seconds() < self._limit
         if self.num_timesteps - self._evaluated >= STEPS_PER_EVALUATION or not going_on:
             self._evaluated = self.num_timesteps

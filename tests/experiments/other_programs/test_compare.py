@@ -1,3 +1,4 @@
+import itertools
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -9,9 +10,10 @@ import pytest
 from matplotlib import pyplot as plt
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.storage.lock import InUseError, locked
 from experiments.other_programs import compare, figure, our_run
-from experiments.other_programs.arms import ARMS, OURS
-from experiments.table import read_table
+from experiments.other_programs.arms import ARMS, NAMES, OURS
+from experiments.table import read_table, write_table
 
 CURVE = "env_steps,cpu_s,success_rate\n20000,10.0,0.1\n40000,20.0,0.9\n"
 
@@ -30,7 +32,9 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[str]]:
         return subprocess.CompletedProcess(command, int(fails), "", "no torch")
 
     monkeypatch.setattr(subprocess, "run", run)
-    monkeypatch.setattr(compare, "provenance", lambda *_: {"commit": "abc", "machine": "here"})
+    monkeypatch.setattr(compare, "provenance", lambda *_: {"machine": "here"})
+    commits = itertools.chain(["abc"] * len(NAMES), itertools.repeat("def"))
+    monkeypatch.setattr(compare, "commit", lambda: next(commits))
     return called
 
 
@@ -41,24 +45,54 @@ def test_each_missing_run_is_trained_once_and_noted(
     python.touch()
     words = ["--python", str(python), "--out", str(tmp_path / "out"), "--cpu-seconds", "60"]
     assert compare.main([*words, "--tasks", "push"]) == 0
-    assert len(commands) == 1 + len(ARMS)
-    assert compare.main([*words, "--tasks", "push", "--seeds", "0", "1"]) == 0
-    assert len(commands) == 2 * (1 + len(ARMS))
+    assert len(commands) == len(NAMES)
+    assert compare.main([*words, "--tasks", "push", "--seeds", "0", "1", "1"]) == 0
+    assert len(commands) == 2 * len(NAMES)
 
     rows = read_table(tmp_path / "out" / "runs.csv")
     assert sorted((row["arm"], row["seed"]) for row in rows) == sorted(
-        (arm, seed) for arm in (OURS, *ARMS) for seed in "01"
+        (arm, seed) for arm in NAMES for seed in "01"
     )
-    assert {(row["task"], row["commit"], row["machine"], row["cpu_seconds"]) for row in rows} == {
-        ("push", "abc", "here", "60.0")
+    assert {(row["seed"], row["commit"]) for row in rows} == {("0", "abc"), ("1", "def")}
+    assert {(row["task"], row["machine"], row["cpu_seconds"]) for row in rows} == {
+        ("push", "here", "60.0")
     }
-    (ours,) = [command for command in commands[:4] if "sb3_run" not in str(command)]
-    assert list(ours[-4:-1]) == ["push", "0", "60.0"]
-    assert all(str(python) in command for command in commands[:4] if command is not ours)
+    for command in commands[: len(NAMES)]:
+        arm = command[-5]
+        assert list(command[-4:-1]) == ["push", "0", "60.0"]
+        program = "our_run" if arm in OURS else "sb3_run"
+        assert f"experiments.other_programs.{program}" in command
+        assert (str(python) in command) == (arm in ARMS)
+
+
+def test_two_programs_do_not_write_into_one_directory(
+    tmp_path: Path, commands: list[Sequence[str]]
+) -> None:
+    with locked(tmp_path), pytest.raises(InUseError):
+        compare.main(["--arms", "cgm_jax", "--tasks", "push", "--out", str(tmp_path)])
+    assert not commands
+
+
+def test_a_run_ends_once_the_program_that_started_it_is_gone() -> None:
+    code = """
+import os, time
+if os.fork():
+    time.sleep(0.5)
+else:
+    from experiments.other_programs.curve import PARENT, is_wanted
+    print(is_wanted(), flush=True)
+    while os.getppid() == PARENT:
+        time.sleep(0.01)
+    print(is_wanted(), flush=True)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=compare.ROOT, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.split() == ["True", "False"]
 
 
 def test_other_cpu_seconds_are_trained_anew(tmp_path: Path, commands: list[Sequence[str]]) -> None:
-    words = ["--arms", OURS, "--tasks", "push", "--out", str(tmp_path)]
+    words = ["--arms", "cgm_jax", "--tasks", "push", "--out", str(tmp_path)]
     for limit, trained in (("60", 1), ("60", 1), ("7200", 2), ("7200", 2)):
         assert compare.main([*words, "--cpu-seconds", limit]) == 0
         assert len(commands) == trained
@@ -71,7 +105,7 @@ def test_a_run_that_fails_says_why_and_costs_the_others_nothing(
 ) -> None:
     out, python = tmp_path / "fails", tmp_path / "python"
     python.touch()
-    words = ["--arms", "sb3_sac", OURS, "--python", str(python), "--out", str(out)]
+    words = ["--arms", "sb3_sac", "cgm_jax", "--python", str(python), "--out", str(out)]
     assert compare.main([*words, "--tasks", "push"]) == 1
     assert "error: sb3_sac-push-0 has failed:\nno torch" in capsys.readouterr().err
     assert len(commands) == 2
@@ -83,7 +117,7 @@ def test_a_run_that_fails_says_why_and_costs_the_others_nothing(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--arms", "ppo"], "arms: 'ppo' is none of cgm_jax, sb3_sac"),
+        (["--arms", "ppo"], "arms: 'ppo' is none of cgm_jax, cgm_jax_plain, sb3_sac"),
         (["--tasks", "slide"], "tasks: 'slide' is none of push, pick_and_place"),
         (["--cpu-seconds", "0"], "cpu_seconds: 0 is not above 0"),
         (["--seeds", "0", "-1"], "seeds: -1 is below 0"),
@@ -97,34 +131,41 @@ def test_what_cannot_be_compared_is_refused(words: list[str], message: str) -> N
 
 def test_the_figure_shows_each_seed_by_seconds_and_by_steps(tmp_path: Path) -> None:
     (tmp_path / "curves").mkdir()
-    for name in ("cgm_jax-push-0", "cgm_jax-push-1", "sb3_sac-push-0"):
-        (tmp_path / "curves" / f"{name}.csv").write_text(CURVE)
-    (tmp_path / "curves" / "sb3_ddpg-push-0.csv").write_text(CURVE.partition("\n")[0] + "\n")
-    curves = figure.curves_in(tmp_path)
+    runs = []
+    for arm, seed, cpu_seconds in (
+        *(("cgm_jax", 0, 60), ("cgm_jax", 1, 60), ("sb3_sac", 0, 60)),
+        *(("sb3_sac", 1, 7200), ("sb3_ddpg", 0, 60)),
+    ):
+        runs.append({"arm": arm, "task": "push", "seed": seed, "cpu_seconds": cpu_seconds})
+        if arm != "sb3_ddpg":  # its curve is gone
+            (tmp_path / "curves" / f"{arm}-push-{seed}.csv").write_text(CURVE)
+    (tmp_path / "curves" / "sb3_sac-push-2.csv").write_text(CURVE)  # never noted
+    write_table(tmp_path / "runs.csv", runs)
+    curves = figure.curves_in(tmp_path, 60)
     assert {key: len(seeds) for key, seeds in curves.items()} == {
         ("push", "cgm_jax"): 2,
         ("push", "sb3_sac"): 1,
     }
     _, panel = plt.subplots()
-    figure.draw_arm(panel, curves["push", "cgm_jax"], "cpu_s", OURS)
+    figure.draw_arm(panel, curves["push", "cgm_jax"], "cpu_s", "cgm_jax")
     first, second = panel.get_lines()
-    assert first.get_label() == "this program, preset cpu, own simulation, two seeds"
+    assert first.get_label() == "this program, preset cpu (HER, stages, CGM), two seeds"
     assert str(second.get_label()).startswith("_")
     np.testing.assert_array_equal(first.get_xydata(), [[10.0, 0.1], [20.0, 0.9]])
     plt.close()
-    assert figure.draw(tmp_path).stat().st_size > 10_000
+    assert figure.draw(tmp_path, 60).stat().st_size > 10_000
 
 
 def test_without_a_curve_there_is_no_figure(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="there is no curve"):
-        figure.draw(tmp_path)
+        figure.draw(tmp_path, 7200)
 
 
 @pytest.mark.slow
 def test_a_run_of_ours_may_end_with_its_preset(tmp_path: Path) -> None:
     path = tmp_path / "curve.csv"
     code = "from experiments.other_programs.our_run import main; from pathlib import Path; "
-    code += f"raise SystemExit(main('reach', 0, 1e9, Path({str(path)!r}), 'smoke'))"
+    code += f"raise SystemExit(main('cgm_jax', 'reach', 0, 1e9, Path({str(path)!r}), 'smoke'))"
     subprocess.run([sys.executable, "-c", code], cwd=compare.ROOT, check=True)
     assert [row["env_steps"] for row in read_table(path)] == ["400", "800"]
 
@@ -133,7 +174,7 @@ def test_a_run_of_ours_may_end_with_its_preset(tmp_path: Path) -> None:
 def test_a_run_of_ours_ends_after_the_evaluation_that_finds_its_seconds_used_up(
     tmp_path: Path,
 ) -> None:
-    words = ["-m", our_run.__name__, "push", "0", "1", str(tmp_path / "curve.csv")]
+    words = ["-m", our_run.__name__, "cgm_jax_plain", "push", "0", "1", str(tmp_path / "curve.csv")]
     result = subprocess.run([sys.executable, *words], cwd=compare.ROOT, check=False)
     assert result.returncode == 0
     (row,) = read_table(tmp_path / "curve.csv")
