@@ -67,9 +67,8 @@ def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
 
 
 def tables_of(runs: Runs) -> dict[str, list[Row]]:
-    """The tables of a question, by the name of their file; those without rows are left out."""
-    tables = {"speed.csv": learning_speed(runs), "paired.csv": comparisons(runs)}
-    return {name: rows for name, rows in tables.items() if rows}
+    """The tables of a question, by the name of their file."""
+    return {"speed.csv": learning_speed(runs), "paired.csv": comparisons(runs)}
 
 
 def write_results(name: str, question: Question, plans: Plans) -> Path:
@@ -84,7 +83,9 @@ def write_results(name: str, question: Question, plans: Plans) -> Path:
     target = RESULTS / name
     target.mkdir(parents=True, exist_ok=True)
     for file, rows in tables_of(runs).items():
-        write_table(target / file, rows)
+        (target / file).unlink(missing_ok=True)
+        if rows:
+            write_table(target / file, rows)
     for figure in question.figures:
         _save(FIGURES[figure](runs), target / f"{figure}.png")
     return target

@@ -20,6 +20,7 @@ from experiments.learning.tables import (
     Runs,
     env_steps_to_hold,
     is_settled,
+    left_early,
     metrics_of,
     runs_by_setting,
 )
@@ -122,7 +123,7 @@ def _draw_median(panel: Axes, runs: Sequence[RecordedRun], name: str, look: Look
     steps, curves = curves_of(metrics_of(runs), "success_rate")
     for run, curve in zip(runs, curves, strict=True):
         known = np.flatnonzero(np.isfinite(curve))
-        if len(known) and is_held(run):
+        if len(known) and left_early(run):
             curve[known[-1] :] = curve[known[-1]]
     there = np.isfinite(curves).all(axis=0)
     median = np.median(curves[:, there], axis=0)

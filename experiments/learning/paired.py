@@ -105,9 +105,11 @@ def comparisons(runs: Runs) -> list[Row]:
     goal, against DDPG that sees no masks and pursues no stages.
 
     Compared are environment steps until a success is held, by the seeds that both have. A run that
-    does not hold it by the end of the shorter training counts as holding it there; the difference
-    to such a run is larger than shown, and marked with < or >. Left out are pairs with fewer than
-    two seeds in common, of which no run holds the success, or that left before it.
+    does not hold it by the end of the shorter training counts as holding it there. The difference
+    to such a run is larger than shown, and marked with < or >, and with ? where neither run holds
+    it. So is then the mean, where all marks are alike, and there is no interval; the exact test and
+    P(sooner) are of the times as counted. Left out are pairs with fewer than two seeds in common,
+    of which no run holds the success, or that left before it.
     """
     settings = runs_by_setting(runs)
     table = []
@@ -161,26 +163,34 @@ def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | No
     budget = min(run.budget for run in together)
     one, other = np.minimum(steps, budget)
     paired = paired_difference(one, other)
-    interval = improvement_interval(one, other) or ("", "")
+    marks = [_mark(first, second, budget) for first, second in zip(*steps, strict=True)]
+    improvement = improvement_interval(one, other) or ("", "")
     return {
         "level": level,
         "counted_to": budget,
-        "differences": _by_seed(paired.differences, steps, budget),
-        "mean_difference": round(paired.mean),
-        "low": round(paired.low),
-        "high": round(paired.high),
+        "differences": " ".join(
+            f"{mark}{difference:.0f}"
+            for mark, difference in zip(marks, paired.differences, strict=True)
+        ),
+        **_mean(paired, {*marks} - {""}),
         "p_value": round(paired.p_value, 4),
         "probability_of_improvement": round(float(probability_of_improvement(one, other)), 3),
-        "improvement_low": interval[0],
-        "improvement_high": interval[1],
+        "improvement_low": improvement[0],
+        "improvement_high": improvement[1],
     }
 
 
-def _by_seed(differences: Sequence[float], steps: Sequence[Sequence[float]], budget: int) -> str:
-    """Differences; "<" or ">" where one of the two runs did not hold the success in time."""
-    bounds = {(True, False): ">", (False, True): "<"}
-    late = [tuple(value > budget for value in pair) for pair in zip(*steps, strict=True)]
-    return " ".join(
-        f"{bounds.get(pair, '')}{difference:.0f}"
-        for pair, difference in zip(late, differences, strict=True)
-    )
+def _mark(one: float, other: float, budget: int) -> str:
+    """What is known of a difference: nothing to add, a bound, or nothing at all."""
+    late = (one > budget, other > budget)
+    return {(True, False): ">", (False, True): "<", (True, True): "?"}.get(late, "")
+
+
+def _mean(paired: PairedDifference, marks: set[str]) -> Row:
+    """The mean difference; its interval where all differences are known."""
+    if not marks:
+        ends = {"low": round(paired.low), "high": round(paired.high)}
+        return {"mean_difference": round(paired.mean), **ends}
+    bound = next(iter(marks)) if len(marks) == 1 else "?"
+    mean = "" if bound == "?" else f"{bound}{paired.mean:.0f}"
+    return {"mean_difference": mean, "low": "", "high": ""}

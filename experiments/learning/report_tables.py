@@ -48,9 +48,17 @@ def conditions() -> Table:
             cores = config["machine"].rpartition(", ")[2]
             largest = max(together(group) for group in config["groups"])
             numbers = [str(len(runs)), str(largest), f"{max(run.budget for run in runs):,}"]
-            rows.append([f"`{sweep}`", f"`{config['commit'][:7]}`", cores, *numbers])
+            rows.append([f"`{sweep}`", _commit(config), cores, *numbers])
     header = ["sweep", "commit", "cores", "runs", "side by side", "environment steps, at most"]
     return Table(header, rows)
+
+
+def _commit(config: Mapping[str, Any]) -> str:
+    """At which commit a sweep began, and whether anything was different then or later."""
+    commit = str(config["commit"])
+    changed = ", with changes" if commit.endswith("-dirty") else ""
+    resumed = ", resumed elsewhere" if config.get("resumed") else ""
+    return f"`{commit[:7]}`{changed}{resumed}"
 
 
 def planned() -> Table:
@@ -161,7 +169,9 @@ def paired(question: str, level: str = "") -> Table:
         if level and round(100 * entry["level"]) != int(level):
             continue
         seeds = [int(seed) for seed in entry["seeds"].split()]
-        interval = f"{_thousands(entry['low'])} to {_thousands(entry['high'])}"
+        mean = _difference(str(entry["mean_difference"]))
+        if entry["low"] != "":
+            mean += f" ({_thousands(entry['low'])} to {_thousands(entry['high'])})"
         probability = percent(entry["probability_of_improvement"])
         if entry["improvement_low"] != "":
             low, high = (percent(entry[f"improvement_{end}"]) for end in ("low", "high"))
@@ -173,7 +183,7 @@ def paired(question: str, level: str = "") -> Table:
                 f"{entry['setting']} - {entry['baseline']}{_which(seeds)}",
                 percent(entry["level"]),
                 ", ".join(map(_difference, entry["differences"].split())),
-                f"{_thousands(entry['mean_difference'])} ({interval})",
+                mean,
                 f"{entry['p_value']:.2g}",
                 probability,
             ]
@@ -184,7 +194,9 @@ def paired(question: str, level: str = "") -> Table:
 
 
 def _difference(text: str) -> str:
-    """A difference in thousands, such as "> 400" where it is at least that much."""
+    """A difference in thousands, such as "> 400" where it is at least that much, if it is known."""
+    if not text or text[0] == "?":
+        return "?"
     bound, number = (text[0], text[1:]) if text[0] in "<>" else ("", text)
     return f"{bound} {_thousands(int(number))}".strip()
 
@@ -203,7 +215,7 @@ def grid(question: str, env: str) -> Table:
         rows.append([f"kappa = {kappa:g}", *(cells.get(rate, "") for rate in rates)])
     for setting, runs in settings.items():
         if setting.masks == NO_MASKS:
-            rows.append([NO_MASKS, _epochs(runs), *[""] * (len(rates) - 1)])
+            rows.append([f"{NO_MASKS}: {_epochs(runs)}", *[""] * len(rates)])
     return Table(["c_g", *map(percent, rates)], rows)
 
 

@@ -1,23 +1,23 @@
 """Numbers in sentences of the report about learning, from the records."""
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 from cgm_jax.results.statistics import first_to_hold
 from experiments.learning.plans import read_plans, runs_of
-from experiments.learning.records import SWEEPS, recorded_runs
+from experiments.learning.records import SWEEPS, RecordedRun, recorded_runs
+from experiments.learning.report_tables import FULL_GOAL
 from experiments.learning.setting import NO_MASKS
 from experiments.learning.tables import (
     env_steps_to_hold,
-    final_success,
     only_setting,
     runs_by_setting,
 )
 from experiments.markdown import counted, in_words, percent
 from experiments.table import read_table
 
-FULL_GOAL = 7
-"""Of three dimensions, the mask that keeps all."""
+NOT_YET = "(not on record yet)"
 
 
 def number_of_trials() -> str:
@@ -28,8 +28,8 @@ def number_of_trials() -> str:
 def undecided_trials() -> str:
     """Of trials that never reached 50 %, those stopped before a run like it without the change.
 
-    "11 of 17": a change is compared with the latest 50 % of a run with the same task, networks and
-    updates of the actor, and no change.
+    "11 of 15": a change is compared with the latest 50 % of a run with the same task, networks and
+    updates of the actor, and no change; trials without such a run are left out.
     """
     baselines: dict[tuple[str, ...], int] = {}
     alike = ("env", "cgm", "layers", "actor_update_every")
@@ -38,11 +38,12 @@ def undecided_trials() -> str:
             key = tuple(row[name] for name in alike)
             baselines[key] = max(baselines.get(key, 0), int(row["env_steps_to_50"]))
     never = [
-        (int(row["stopped_at"]), baselines.get(tuple(row[name] for name in alike)))
+        (int(row["stopped_at"]), baselines[key])
         for row in _trials()
         if row["change"] != "none" and not row["env_steps_to_50"]
+        if (key := tuple(row[name] for name in alike)) in baselines
     ]
-    early = sum(baseline is None or stopped <= baseline for stopped, baseline in never)
+    early = sum(stopped <= baseline for stopped, baseline in never)
     return f"{early} of {len(never)}"
 
 
@@ -66,22 +67,65 @@ def not_trained(question: str) -> str:
     return ", ".join(f"`{sweep}`" for sweep in sweeps if not recorded_runs(sweep)) or "nothing"
 
 
-def held_by(sweep: str, level: str) -> str:
-    """How many seeds hold a success, such as "five of five seeds"."""
-    runs = only_setting(sweep)
-    held = sum(math.isfinite(env_steps_to_hold(run, int(level) / 100)) for run in runs)
-    return f"{in_words(held)} of {counted(len(runs), 'seed')}"
+def held_by(sweeps: str, level: str) -> str:
+    """How many seeds hold a success, such as "five of five seeds", of each sweep.
+
+    Args:
+        sweeps: one, or several with commas between them, of which the same is so.
+        level: in percent.
+    """
+    names = sweeps.split(",")
+    if not _on_record(names):
+        return NOT_YET
+    return _of_each(_held(only_setting(sweep), int(level) / 100) for sweep in names)
 
 
-def sooner(one: str, other: str, level: str) -> str:
-    """In how many seeds one sweep holds a success before the other, "five of five seeds"."""
+def sooner(ones: str, others: str, level: str) -> str:
+    """In how many seeds one sweep holds a success before another, "five of five seeds".
+
+    Args:
+        ones: the sweep, or several with commas between them, of which the same is so.
+        others: the other, or others alike.
+        level: in percent.
+    """
+    first, second = ones.split(","), others.split(",")
+    if not _on_record([*first, *second]):
+        return NOT_YET
+    pairs = itertools.product(first, second)
+    return _of_each(_sooner(*pair, int(level) / 100) for pair in pairs)
+
+
+def _on_record(sweeps: Iterable[str]) -> bool:
+    return all(map(recorded_runs, sweeps))
+
+
+def _sooner(one: str, other: str, level: float) -> str:
     steps = [
-        {run.seed: env_steps_to_hold(run, int(level) / 100) for run in only_setting(sweep)}
+        {run.seed: env_steps_to_hold(run, level) for run in only_setting(sweep)}
         for sweep in (one, other)
     ]
     seeds = steps[0].keys() & steps[1].keys()
-    won = sum(steps[0][seed] < steps[1][seed] for seed in seeds)
-    return f"{in_words(won)} of {counted(len(seeds), 'seed')}"
+    return _of_seeds(sum(steps[0][seed] < steps[1][seed] for seed in seeds), seeds)
+
+
+def _held(runs: Sequence[RecordedRun], level: float) -> str:
+    return _of_seeds(sum(math.isfinite(env_steps_to_hold(run, level)) for run in runs), runs)
+
+
+def _of_seeds(number: int, of: Collection[object]) -> str:
+    return f"{in_words(number)} of {counted(len(of), 'seed')}"
+
+
+def _of_each(said: Iterable[str]) -> str:
+    """What is said of each alike.
+
+    Raises:
+        ValueError: not the same.
+    """
+    alike = {*said}
+    if len(alike) != 1:
+        raise ValueError(f"not the same is so of each: {', '.join(sorted(alike))}")
+    return alike.pop()
 
 
 def held_at(question: str, env: str, c_g: str, kappa: str) -> str:
@@ -91,8 +135,7 @@ def held_at(question: str, env: str, c_g: str, kappa: str) -> str:
         for setting, seeds in runs_by_setting(runs_of(question)).items()
         if (setting.env, setting.c_g, setting.kappa) == (env, float(c_g), float(kappa))
     )
-    held = sum(math.isfinite(env_steps_to_hold(run, 0.5)) for run in seeds.values())
-    return f"{in_words(held)} of {counted(len(seeds), 'seed')}"
+    return _held(list(seeds.values()), 0.5)
 
 
 def points_sooner(question: str, env: str) -> str:
@@ -117,9 +160,12 @@ def latest(sweep: str, level: str) -> str:
     return f"{max(_finite_steps(sweep, level)):,.0f}"
 
 
-def earliest(sweep: str, level: str) -> str:
-    """Environment steps until the first seed holds a success."""
-    return f"{min(_finite_steps(sweep, level)):,.0f}"
+def held_in(sweep: str, level: str, seed: str) -> str:
+    """Environment steps until a seed holds a success."""
+    if not _on_record([sweep]):
+        return NOT_YET
+    (run,) = (run for run in only_setting(sweep) if run.seed == int(seed))
+    return f"{env_steps_to_hold(run, int(level) / 100):,.0f}"
 
 
 def _finite_steps(sweep: str, level: str) -> list[float]:
@@ -138,13 +184,6 @@ def seconds(sweep: str, level: str) -> str:
     rows = [first_to_hold(run.rows, int(level) / 100) for run in runs]
     walls = [row["wall_s"] for row in rows if row]
     return f"{min(walls):.0f} to {max(walls):.0f}"
-
-
-def end(sweep: str) -> str:
-    """Mean success of the last three evaluations, from the worst to the best seed."""
-    ends = sorted(final_success(run) for run in only_setting(sweep))
-    low, high = f"{100 * ends[0]:.4g}", percent(ends[-1], 1)
-    return f"{low} to {high}" if ends[0] != ends[-1] else high
 
 
 def probability_of_full_goal(sweep: str) -> str:
@@ -178,9 +217,8 @@ VALUES: dict[str, Callable[..., str]] = {
     "points_sooner": points_sooner,
     "budget": budget,
     "latest": latest,
-    "earliest": earliest,
+    "held_in": held_in,
     "seconds": seconds,
-    "end": end,
     "probability_of_full_goal": probability_of_full_goal,
     "smallest_p": smallest_p,
     "standard_error": standard_error,

@@ -44,7 +44,13 @@ def only_setting(sweep: str) -> list[RecordedRun]:
 
 
 def env_steps_to_hold(run: RecordedRun, level: float) -> float:
-    """Environment steps until a run holds a success; infinite if it never does."""
+    """Environment steps until a run holds a success; infinite if it never does.
+
+    Raises:
+        ValueError: it left before it could.
+    """
+    if not is_settled(run, level):
+        raise ValueError(f"{run.sweep}: runs left before they could hold {level:g}")
     row = first_to_hold(run.rows, level)
     return row["env_steps"] if row else math.inf
 
@@ -83,9 +89,8 @@ def learning_speed(runs: Runs) -> list[Row]:
         told = {name: value for name, value in setting._asdict().items() if name not in without}
         entry: Row = {**told, "seeds": " ".join(map(str, seeds))}
         for level in LEVELS:
-            arrivals = _arrivals(same, level)
-            if not all(is_settled(run, level) for run in same):
-                arrivals = dict.fromkeys(arrivals, "")
+            settled = all(is_settled(run, level) for run in same)
+            arrivals = _arrivals(same, level) if settled else dict.fromkeys(ARRIVALS, "")
             entry |= {f"{name}_{100 * level:.0f}": value for name, value in arrivals.items()}
         entry["final_success"] = " ".join(
             "left" if left_early(run) else str(final_success(run)) for run in same
@@ -95,22 +100,26 @@ def learning_speed(runs: Runs) -> list[Row]:
     return table
 
 
+ARRIVALS = (
+    *("held_by", "env_steps_to", "median_to", "low_quartile_to", "high_quartile_to"),
+    "wall_s_to",
+)
+"""What there is to say of a level; the level's name follows."""
+
+
 def _arrivals(runs: Runs, level: float) -> Row:
     """When runs hold a success; the names end where the level goes."""
     steps = [env_steps_to_hold(run, level) for run in runs]
     rows = [first_to_hold(run.rows, level) for run in runs]
     seconds = [row["wall_s"] if row else math.inf for row in rows]
     low, median, high = quartiles(steps)
-    return {
-        "held_by": sum(row is not None for row in rows),
-        "env_steps_to": " ".join(map(dash_or_number, steps)),
-        "median_to": dash_or_number(median),
-        "low_quartile_to": dash_or_number(low),
-        "high_quartile_to": dash_or_number(high),
-        "wall_s_to": " ".join(map(dash_or_number, seconds))
-        if all(run.alone for run in runs)
-        else "",
-    }
+    values = (
+        sum(row is not None for row in rows),
+        " ".join(map(dash_or_number, steps)),
+        *map(dash_or_number, (median, low, high)),
+        " ".join(map(dash_or_number, seconds)) if all(run.alone for run in runs) else "",
+    )
+    return dict(zip(ARRIVALS, values, strict=True))
 
 
 def dash_or_number(value: float) -> str:

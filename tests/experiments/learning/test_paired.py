@@ -9,6 +9,7 @@ from experiments.learning.paired import (
     paired_difference,
     probability_of_improvement,
 )
+from experiments.learning.records import RecordedRun
 from tests.experiments.learning.recorded import run
 
 
@@ -60,9 +61,30 @@ def test_arms_are_compared_by_seeds_that_both_have() -> None:
     (entry,) = comparisons([*runs[:4], run([0.0] * 9, 1, curriculum="full")])
     assert entry["counted_to"] == 5000
     assert entry["differences"] == "-1000 <-1000"
-    assert (entry["mean_difference"], entry["low"], entry["high"]) == (-1000, -1000, -1000)
+    assert (entry["mean_difference"], entry["low"], entry["high"]) == ("<-1000", "", "")
     assert (entry["p_value"], entry["probability_of_improvement"]) == (0.5, 1.0)
     assert entry["improvement_low"] == ""
+
+
+@pytest.mark.parametrize(
+    ("other", "differences", "mean"),
+    [
+        ([3, 5], "1000 -1000", (0, -12706, 12706)),
+        ([3, None], "1000 <-5000", ("<-2000", "", "")),
+        ([None, None], "<-5000 <-5000", ("<-5000", "", "")),
+    ],
+)
+def test_the_mean_of_bounds_is_a_bound(
+    other: list[int | None], differences: str, mean: tuple[Any, ...]
+) -> None:
+    def holding_at(epoch: int | None, seed: int, **curriculum: Any) -> RecordedRun:
+        return run([0.6 if epoch and i >= epoch - 3 else 0.0 for i in range(9)], seed, **curriculum)
+
+    runs = [holding_at(4, seed) for seed in (0, 1)]
+    runs += [holding_at(epoch, seed, curriculum="full") for seed, epoch in enumerate(other)]
+    (entry,) = comparisons(runs)
+    assert entry["differences"] == differences
+    assert (entry["mean_difference"], entry["low"], entry["high"]) == mean
 
 
 def test_everything_is_compared_with_no_masks_and_with_the_papers_best_point() -> None:

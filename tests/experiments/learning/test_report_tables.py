@@ -41,11 +41,32 @@ def test_paired_says_how_large_a_difference_is_at_least(question: list[RecordedR
         run([0.0] * 9, 1, curriculum="full"),
     ]
     (row,) = report_tables.paired("any", "50").rows
-    # 3 against 5 and against never, counted as 9; t of one degree of freedom is 12.706.
+    # 3 against 5 and against never, counted as 9: a bound of the mean, and no interval.
     assert list(row) == [
-        *("CGM (10 %, 32) - no masks", "50 %", "-2, < -6"),
-        *("-4 (-29.4 to 21.4)", "0.5", "100 %"),
+        *("CGM (10 %, 32) - no masks", "50 %", "-2, < -6", "< -4", "0.5", "100 %"),
     ]
+
+
+def test_paired_has_an_interval_where_all_differences_are_known(
+    question: list[RecordedRun],
+) -> None:
+    question += [run([0.5] * 9, seed) for seed in (0, 1)]
+    question += [
+        run([0.0] * zeros + [0.5] * 7, i, curriculum="full") for i, zeros in ((0, 2), (1, 6))
+    ]
+    (row,) = report_tables.paired("any", "50").rows
+    # -2 and -6; t of one degree of freedom is 12.706.
+    assert list(row)[2:4] == ["-2, -6", "-4 (-29.4 to 21.4)"]
+
+
+def test_paired_says_where_nothing_is_known_of_a_difference(question: list[RecordedRun]) -> None:
+    question += [run([0.5] * 9, 0), run([0.0] * 9, 1)]
+    question += [
+        run([0.0] * 2 + [0.5] * 7, 0, curriculum="full"),
+        run([0.0] * 9, 1, curriculum="full"),
+    ]
+    (row,) = report_tables.paired("any", "50").rows
+    assert list(row)[2:4] == ["-2, ?", "?"]
 
 
 def test_a_grid_has_epochs_by_seed(question: list[RecordedRun]) -> None:
@@ -56,7 +77,7 @@ def test_a_grid_has_epochs_by_seed(question: list[RecordedRun]) -> None:
     assert [list(row) for row in table.rows] == [
         ["kappa = 4", "", "never"],
         ["kappa = 32", "3, 3", "3, 3"],
-        ["no masks", "3", ""],
+        ["no masks: 3", "", ""],
     ]
     assert report_tables.grid("any", "reach").rows == []
 
