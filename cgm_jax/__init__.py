@@ -6,9 +6,9 @@ them, in rooms:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others
-    agents/      who learns: DDPG, ...
+    agents/      who learns: DDPG, TD3, SAC
     replay/      what is replayed: the ring of episodes, hindsight
-    loop/        what turns: rollout, cycle, epoch, evaluation, as pure functions over one state
+    loop/        the training loop: rollout, cycle, epoch, evaluation, pure functions over one state
     envs/        what is acted in: the Fetch tasks (in a checkout a link to the folder `envs`)
 
     storage/     what lies on the disk: run directories, files of arrays
@@ -26,7 +26,8 @@ may change with any version:
 
     from cgm_jax.agents.ddpg import DDPG
     from cgm_jax.agents.gradients import ADAM, descend
-    from cgm_jax.agents.networks import apply_actor, init_actor
+    from cgm_jax.agents.networks import apply_actor, apply_critic, init_actor
+    from cgm_jax.agents.products import product
     from cgm_jax.agents.protocol import Agent, Info, Minibatch, Parameters
     from cgm_jax.agents.sac import SAC
     from cgm_jax.agents.td3 import TD3

@@ -10,5 +10,7 @@ The listing:
     other_programs/   Stable-Baselines3 beside this program
     gpu/              what is to be known about a GPU
     results/          records of what was trained and measured; figures and tables made from them
+    plans.toml        every sweep with all its settings, and every question with its sweeps
+    pretrained.py     trains the policies that come with the package
     table.py          CSV files; markdown.py the same for readers
 """

@@ -1,7 +1,8 @@
 """The process around training: signals, memory, progress.
 
     command_line.py     what sweep and train are asked for; exit_codes.py what a program ends with
-    setting_options.py  an option per setting, and what --help says of it
+    setting_options.py  an option per setting; help_texts.py what --help says
+    devices.py          --devices: how many share the runs
     asked.py            what is to be trained: options, over a settings_file.py, over a preset
     session.py          from groups of runs to an exit code; dry_run.py what it would be
     conclusion.py       what a finished sweep has come to

@@ -8,6 +8,7 @@ Against what the machine can do:
     updates.py      network updates against a matrix product
     sweeps.py       runs side by side against runs alone
     workload.py     the runs that are measured; figures.py a figure and its target
+    compilations.py how many programs were compiled
 
 Against another commit:
 

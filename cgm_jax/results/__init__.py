@@ -2,7 +2,10 @@
 
 figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
 page/          sweeps as one HTML file, to be read in a browser
-policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for
+merging.py     parts of a sweep to one
+policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for,
+               chosen.py the policies that were chosen
+onnx_model.py  a policy as an ONNX model
 video.py       videos of their episodes; best_policy.py one of a sweep's best policy
 tracking.py    what TensorBoard and others are sent; trackers/ each of them
 statistics.py  when a run holds a success

@@ -8,6 +8,8 @@ Programs, each `python -m experiments.physics.NAME`:
     doing_nothing.py           how often goals are achieved by doing nothing
     transfer.py                plays trained policies in Gymnasium-Robotics and here
     gymnasium_policy.py        its half that runs where gymnasium-robotics is installed
+    hosted_speed.py            how fast Gymnasium's environments are as tasks
+    hosted_alone.py            its half that has such an environment alone
     gymnasium_sensitivity.py   how far Gymnasium-Robotics strays from itself (runs there too)
 
 What they share:

@@ -15,7 +15,7 @@ from brax.envs.base import State
 
 @dataclass(frozen=True)
 class PointMass:
-    """Position and velocity in [-1, 1]^2; the action is a force."""
+    """A point in the plane with a velocity; the action is a force. It begins in [-1, 1]^2."""
 
     action_size: int = 2
     episode_length: int = 25
