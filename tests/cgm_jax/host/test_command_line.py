@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -36,6 +37,20 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "2 runs take" in result.stderr  # how much memory a program takes, said beforehand
     assert "epoch 2:" in result.stderr
     return out
+
+
+def test_the_guide_names_all_columns(sweep: Path) -> None:
+    guide = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text()
+    table = guide.partition("Columns of `metrics.jsonl`")[2].partition("\n\nThe rows")[0]
+    named = {
+        name
+        for line in table.splitlines()
+        if line.startswith("| `")
+        for name in re.findall(r"`(\w+)`", line.split(" | ")[0])
+    }
+    row = json.loads((sweep / "metrics.jsonl").read_text().splitlines()[0])
+    settings = {"env", "seed", "curriculum", "agent", "c_g", "kappa", "her", "cgm"}
+    assert {*row} - settings == named
 
 
 def test_a_sweep_writes_one_line_per_run_and_epoch(sweep: Path) -> None:
