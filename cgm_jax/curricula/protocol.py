@@ -50,10 +50,12 @@ class Outcomes(struct.PyTreeNode):
         goals: what they were to achieve.
         success: whether the masked goal was achieved at the last step, [E] bool.
         subgoal_success: whether each dimension of the whole goal was, [E, n] bool.
-        valid: whether the physics held; episodes that are not valid must not count, [E] bool.
+        valid: whether the physics held, and the episode did not end before its first step;
+            episodes that are not valid must not count, [E] bool.
         observation: at the first step, [E, o].
-        visited: a state of the environment from a random step of each episode, leading axis [E],
-            for a curriculum that `wants_visited`; else None.
+        visited: a state of the environment after a random step of each episode, leading axis [E],
+            for a curriculum that `wants_visited`; else None. It does not end the episode; where the
+            first step did, it is the one before.
     """
 
     goals: Goals

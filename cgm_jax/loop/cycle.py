@@ -172,7 +172,7 @@ def _count(statistics: EpochStatistics, rollout: Rollout, threshold: float) -> E
     statistics = statistics.replace(
         episodes=statistics.episodes + count_true(valid),
         moved_episodes=statistics.moved_episodes + count_true(valid & moved),
-        physics_warnings=statistics.physics_warnings + count_true(~valid),
+        physics_warnings=statistics.physics_warnings + count_true(rollout.broken),
     )
     if not statistics.mask_episodes.size:
         return statistics

@@ -38,17 +38,18 @@ def changes_of_evaluation(
     key, reset_key, examination_key = jax.random.split(state.key, 3)
     first = reset(setup.env, reset_key, setup.settings.evaluation_episodes)
     goals = drawn_goals(setup.env, first)
-    outcomes = roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals).outcomes
-    valid = outcomes.valid
+    rollout = roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals)
+    outcomes, valid = rollout.outcomes, rollout.outcomes.valid
     episodes = count_true(valid)
-    broken, examined = count_true(~valid), None
+    broken, examined = count_true(rollout.broken), None
     masks = hyper.curriculum.examination(sizes(setup, hyper))
     if masks is not None:
         first = reset(setup.env, examination_key, len(masks))
         goals = drawn_goals(setup.env, first).replace(mask=masks)
         policy = final_policy(setup, state, hyper, goals)
-        examined = roll_out(setup.env, policy, first, goals).outcomes
-        broken += count_true(~examined.valid)
+        rollout = roll_out(setup.env, policy, first, goals)
+        examined = rollout.outcomes
+        broken += count_true(rollout.broken)
     metrics = {
         "env_steps": state.env_steps,
         "updates": state.updates,

@@ -32,11 +32,14 @@ class Rollout(struct.PyTreeNode):
     Attributes:
         episodes: E episodes.
         outcomes: which of them count, and what they achieved.
+        broken: whose physics broke or whose numbers are not finite, [E] bool. Those that ended
+            before their first step do not count either, but are not broken.
         record: what `roll_out` was asked to keep of every state, leading axis [T + 1].
     """
 
     episodes: Episodes
     outcomes: Outcomes
+    broken: jax.Array
     record: Any = None
 
 
@@ -46,7 +49,8 @@ class PartialRollout(struct.PyTreeNode):
     Attributes:
         state: of the environments after the last step.
         visited: what becomes of `Outcomes.visited`, or None.
-        visits: the step after which that is taken, [E], or None.
+        visits: when that is taken, or None: the step, [E] int32, or, where episodes may end early,
+            whether each step replaces what was taken before, [T, E] bool.
         goals: what the episodes are to achieve.
         exploration: noise for every step, leading axes [T, E], or None.
         rows: what each step has left, leading axes [T, E]; zeros for steps to come.
@@ -96,8 +100,8 @@ def roll_out(
         goals: what they are to achieve; `goals.start` is not read.
         exploration: noise for every step, leading axes [T, E]; None for a policy without.
         keep: from the state of all environments to what becomes of it in `Rollout.record`.
-        visit_key: draws the step of each episode whose state is kept in `Outcomes.visited`; None
-            to keep none.
+        visit_key: draws the step of each episode after which its state is kept in
+            `Outcomes.visited`, of those that do not end it; None to keep none.
     """
     carry = _start(env, first, goals, visit_key)
     steps = (exploration, jnp.arange(env.episode_length))
@@ -160,8 +164,13 @@ def _at(exploration: Exploration | None, index: int | jax.Array) -> Exploration 
 def _start(env: GoalEnvironment, first: State, goals: Goals, visit_key: jax.Array | None) -> _Carry:
     if visit_key is None:
         return first, None, None
-    count = goals.mask.shape[0]
-    return first, first, jax.random.randint(visit_key, (count,), 0, env.episode_length)
+    steps, count = env.episode_length, goals.mask.shape[0]
+    if not may_end(env):
+        return first, first, jax.random.randint(visit_key, (count,), 0, steps)
+    # How many steps there will be is not known: of i states each is kept if the i-th replaces the
+    # one before by a chance of 1 / i (reservoir sampling).
+    number = jnp.arange(1.0, steps + 1.0, dtype=jnp.float32)[:, None]
+    return first, first, jax.random.uniform(visit_key, (steps, count)) * number < 1.0
 
 
 def _step_of(
@@ -181,7 +190,8 @@ def _step_of(
             next_state = choose(ended, state, next_state)
         warnings = next_state.metrics.get("physics_warnings", jnp.zeros(count))
         if visits is not None:
-            visited = choose(visits == index, next_state, visited)
+            now_visited = visits == index if ends is None else visits[index] & ~ends(next_state)
+            visited = choose(now_visited, next_state, visited)
         left = (observation, achieved, action, warnings, ended, keep(state))
         return (next_state, visited, visits), left
 
@@ -234,9 +244,10 @@ def _judge(env: GoalEnvironment, episodes: Episodes, goals: Goals, warnings: jax
         for rows in (episodes.observation, episodes.achieved_goal, episodes.action)
     ]
     kept = jnp.isfinite(goal) | (goals.mask == 0)
-    valid = (warnings == 0) & jnp.stack(finite).all(axis=0) & kept.all(axis=1)
+    held = (warnings == 0) & jnp.stack(finite).all(axis=0) & kept.all(axis=1)
+    valid = held
     if episodes.length is not None:  # one that ended before its first step teaches nothing
-        valid &= episodes.length > 0
+        valid = held & (episodes.length > 0)
     outcomes = Outcomes(
         goals=goals,
         success=succeeds(env, goal, goals.mask, final, goals.threshold),
@@ -244,4 +255,4 @@ def _judge(env: GoalEnvironment, episodes: Episodes, goals: Goals, warnings: jax
         valid=valid,
         observation=episodes.observation[:, 0],
     )
-    return Rollout(episodes=episodes, outcomes=outcomes)
+    return Rollout(episodes=episodes, outcomes=outcomes, broken=~held)

@@ -18,7 +18,7 @@ class EpochStatistics(struct.PyTreeNode):
         mask_episodes: those per mask, [2^n], or [0] where that is too many.
         mask_successes: those that achieved their masked goal, alike.
         moved_episodes: those that moved their achieved goal (`future.moved_goal`), scalar.
-        physics_warnings: episodes dropped, scalar.
+        physics_warnings: episodes dropped since their physics broke, scalar.
         losses: sums of the scalars that `Agent.train` returns.
         updates: how many of each they are sums of, scalar.
     """

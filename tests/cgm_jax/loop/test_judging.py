@@ -41,6 +41,16 @@ class Ruled(Base):
         return state.obs["achieved_goal"][0] > END
 
 
+class Drifting(Ruled):
+    """It goes to the right by itself, and may begin anywhere."""
+
+    def restart(self, state: State) -> State:
+        return state
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return super().step(state, action + 0.5)
+
+
 class Square(Base):
     """Success within a square, as a rule of its own."""
 
@@ -104,6 +114,51 @@ def test_an_episode_that_ends_stays_where_it_ended(played: Rollout) -> None:
     for episode, end in zip(achieved, np.minimum(length, 12), strict=True):
         np.testing.assert_allclose(np.diff(episode[: end + 1, 0]), 0.1, atol=1e-6)
         np.testing.assert_array_equal(episode[end:], np.broadcast_to(episode[end], (13 - end, 2)))
+
+
+def test_visited_is_any_state_after_a_step_that_did_not_end_the_episode() -> None:
+    ruled: Any = Ruled()
+    starts = jnp.array([0.05, -2.0, 0.35, 0.55])  # they end after 4 steps, never, after 1, at once
+    first = jax.vmap(lambda x: ruled.state(jnp.stack([x, x]), jnp.ones(2)))(starts.repeat(4000))
+    goals = drawn_goals(ruled, first)
+    rollout = jax.jit(
+        lambda state: roll_out(ruled, right, state, goals, visit_key=jax.random.key(3))
+    )(first)
+    moved = np.asarray(rollout.outcomes.visited.obs["achieved_goal"][:, 0] - starts.repeat(4000))
+    steps = np.rint(10 * moved).astype(int).reshape(4, 4000)  # a tenth at each
+    shares = [np.bincount(row, minlength=13) / 4000 for row in steps]
+    np.testing.assert_allclose(shares[0][:4], [0, 1 / 3, 1 / 3, 1 / 3], atol=0.03)
+    np.testing.assert_allclose(shares[1], [0, *[1 / 12] * 12], atol=0.02)
+    assert shares[2][0] == 1.0  # the state before: there is no other
+    valid, broken = (
+        np.asarray(x).reshape(4, 4000) for x in (rollout.outcomes.valid, rollout.broken)
+    )
+    assert valid.all(axis=1).tolist() == [True, True, True, False]
+    assert not valid[3].any()
+    assert not broken.any()
+
+
+def test_starts_are_never_where_an_episode_ends() -> None:
+    trainer = make_trainer(checked(Drifting(), "Drifting"), TINY)
+    hyper = tiny(curriculum="starts", reset_share=0.0, random_action_probability=1.0)
+    train = jax.jit(lambda state, cycles: trainer.train(state, hyper, cycles))
+    once = train(trainer.init(hyper), 1)
+    several = train(once, 6)
+    assert 0 < int(once.replay.inserted) < 8  # some resets are beyond the end
+    assert int(several.replay.inserted - once.replay.inserted) == 6 * 8  # no start is
+    visited = several.curriculum.visited
+    assert int(visited.recorded) == int(several.replay.inserted)
+    achieved = np.asarray(visited.rows.obs["achieved_goal"])[np.asarray(visited.filled)]
+    assert (achieved[:, 0] <= END).all()
+    assert (np.asarray(several.replay.episodes.length)[: int(visited.recorded)] < 13).any()
+
+
+def test_episodes_that_end_before_their_first_step_are_dropped_but_not_as_broken(env: Any) -> None:
+    trainer = make_trainer(env, TINY)
+    hyper = tiny(curriculum="cgm", masked_evaluation_episodes=4)
+    state, metrics = jax.jit(trainer.epoch)(trainer.init(hyper), hyper)
+    assert int(state.replay.inserted) < 2 * TINY.environments
+    assert float(metrics["physics_warnings"]) == 0.0
 
 
 def test_agents_learn_from_the_environments_rewards_and_not_beyond_its_ends(

@@ -116,6 +116,7 @@ CASES = {
     "ddpg and cgm": (PointMass(), tiny()),
     "sac and starts": (PointMass(), tiny(agent="sac", curriculum="starts")),
     "td3 and episodes that end": (Walled(), tiny(agent="td3", critics=2)),
+    "starts and episodes that end": (Walled(), tiny(curriculum="starts")),
     "whole rollouts": (HalfTold(), tiny()),
 }
 
