@@ -40,7 +40,8 @@ class TrainingState(struct.PyTreeNode):
         agent, curriculum: what only they know the structure of.
         normaliser, replay: see their modules.
         statistics: of the epoch in progress.
-        env_steps: training steps over all environments so far, int32.
+        env_steps: training steps over all environments so far, int32; all episodes count with their
+            whole length T, also those that ended early or were dropped.
         updates: minibatches that the agent has learned from, int32; stands still once it failed.
         failure: 0, or what has diverged, see `divergence.failure_of`; then the agent is frozen.
         unfinished: of a cycle that is cut, see `parts.py`; None where cycles are whole.
