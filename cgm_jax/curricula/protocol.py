@@ -76,6 +76,8 @@ class View(NamedTuple):
         value: from observations [..., o] and goals [..., n] to the return that each of the
             agent's critics expects under its actor, [critics, ...].
         draw: further goals of the environment, from a key and their number: [number, n].
+        steps: after how many steps each episode in replay was over, int32 [C], or None where all
+            took T; what it achieved then is repeated up to T.
     """
 
     first: Any
@@ -83,6 +85,7 @@ class View(NamedTuple):
     filled: jax.Array
     value: Callable[[jax.Array, jax.Array], jax.Array]
     draw: Callable[[jax.Array, int], jax.Array]
+    steps: jax.Array | None = None
 
 
 @runtime_checkable

@@ -17,7 +17,7 @@ from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup
 from cgm_jax.loop.state import EpochStatistics, TrainingState, count_true
 from cgm_jax.replay.future import moved_goal
-from cgm_jax.replay.ring import insert, size
+from cgm_jax.replay.ring import insert, size, steps_taken
 
 Result = TypeVar("Result")
 
@@ -162,6 +162,7 @@ def _view(setup: Setup, state: TrainingState, hyper: Hyperparameters, first: obj
         filled=size(state.replay),
         value=value,
         draw=draw,
+        steps=steps_taken(state.replay.episodes),
     )
 
 

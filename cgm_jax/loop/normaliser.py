@@ -23,7 +23,7 @@ from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from cgm_jax.replay.ring import Episodes
+from cgm_jax.replay.ring import Episodes, steps_taken
 
 INITIAL = 20.0
 """Standard deviation before any data, in distance thresholds."""
@@ -70,7 +70,8 @@ def observe(
 ) -> Normaliser:
     """Take in new episodes.
 
-    Goals are fed from both kinds that the networks see: desired and achieved ones.
+    Goals are fed from both kinds that the networks see: desired and achieved ones. Of an episode
+    that ended early only the steps before its end count, not the copies of its last state.
 
     Args:
         normaliser: before.
@@ -83,9 +84,14 @@ def observe(
     desired = jnp.repeat(episodes.desired_goal[:, None], length, axis=1)
     goals = jnp.concatenate([desired, episodes.achieved_goal[:, 1:]], axis=1)
     scales = (floor * distance_threshold, FAR * distance_threshold)
+    states, steps = valid[:, None], valid[:, None]
+    taken = steps_taken(episodes)
+    if taken is not None:
+        states = states & (jnp.arange(length + 1) <= taken[:, None])
+        steps = jnp.tile(states[:, 1:], 2)  # both kinds of goals alike
     return normaliser.replace(
-        observation=_update(normaliser.observation, episodes.observation, valid, *scales),
-        goal=_update(normaliser.goal, goals, valid, *scales),
+        observation=_update(normaliser.observation, episodes.observation, states, *scales),
+        goal=_update(normaliser.goal, goals, steps, *scales),
     )
 
 
@@ -132,12 +138,12 @@ def _init_statistics(size: int, distance_threshold: float) -> RunningStatisticsS
 def _update(
     statistics: RunningStatisticsState,
     rows: jax.Array,
-    valid: jax.Array,
+    counted: jax.Array,
     floor: float,
     far: float,
 ) -> RunningStatisticsState:
-    """Update with rows [episodes, steps, size] of the valid episodes [episodes]."""
-    usable = jnp.broadcast_to(valid[:, None], rows.shape[:2]) & jnp.isfinite(rows).all(axis=-1)
+    """Update with rows [episodes, steps, size] where they are counted, [episodes, steps or 1]."""
+    usable = jnp.broadcast_to(counted, rows.shape[:2]) & jnp.isfinite(rows).all(axis=-1)
     with jax.numpy_dtype_promotion("standard"):  # Brax has JAX turn its counts into floats
         updated = running_statistics.update(
             statistics.replace(mean=_origin(statistics, rows, usable, far)),

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from cgm_jax.config.fields import settings, traced
 from cgm_jax.envs.goals import apply_mask, is_achieved
 from cgm_jax.replay.protocol import Relabelling, Transitions
-from cgm_jax.replay.ring import Replay, size
+from cgm_jax.replay.ring import Replay, size, steps_taken
 
 if TYPE_CHECKING:  # importing environments takes long, and starts JAX
     from cgm_jax.envs import Stage
@@ -91,8 +91,8 @@ class Future(Relabelling):
             _drawn_among(eligible, for_episode),
             integer_below(jnp.maximum(size(replay), 1), for_episode),
         )
-        ends = None if episodes.length is None else episodes.length[episode]
-        steps = episode_length if ends is None else jnp.minimum(ends, episode_length)
+        taken = steps_taken(episodes)
+        steps = episode_length if taken is None else taken[episode]
         step = integer_below(steps, for_step)
         future = step + 1 + integer_below(steps - step, for_future)
         return Drawn(episode, step, future, relabel)

@@ -97,6 +97,16 @@ def insert(replay: Replay, episodes: Episodes, valid: Bool[Array, " batch"]) -> 
     )
 
 
+def steps_taken(episodes: Episodes) -> Int[Array, " episodes"] | None:
+    """Steps until each episode was over, at most T, int32 [episodes]; None where all took T.
+
+    States at a greater index are copies of the last one.
+    """
+    if episodes.length is None:
+        return None
+    return jnp.minimum(episodes.length, episodes.action.shape[1])
+
+
 def size(replay: Replay) -> Int[Array, ""]:
     """Number of episodes that the ring holds, int32 scalar."""
     return jnp.minimum(replay.inserted, replay.episodes.mask.shape[0])

@@ -10,13 +10,15 @@ from cgm_jax.curricula.protocol import View
 
 
 def achieved_goals(key: jax.Array, view: View, shape: tuple[int, ...]) -> jax.Array:
-    """Goals [*shape, n] drawn uniformly from those that replay's episodes achieved at any step.
+    """Goals [*shape, n] that replay's episodes achieved: of any episode, at any of its steps.
 
-    Zeros while replay is empty.
+    Both are drawn uniformly; what is repeated after an early end is not among them. Zeros while
+    replay is empty.
     """
     episode_key, step_key = jax.random.split(key)
     episode = jax.random.randint(episode_key, shape, 0, jnp.maximum(view.filled, 1))
-    step = jax.random.randint(step_key, shape, 0, view.achieved.shape[1])
+    last = view.achieved.shape[1] - 1 if view.steps is None else view.steps[episode]
+    step = jax.random.randint(step_key, shape, 0, last + 1)
     return view.achieved[episode, step]
 
 

@@ -2,6 +2,7 @@
 
 # pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportOptionalMemberAccess=false
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -12,6 +13,8 @@ from brax.envs.base import State
 
 from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.config.fields import SettingError
+from cgm_jax.curricula.protocol import Curriculum, Goals, View
+from cgm_jax.loop.cycle import plan
 from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.own_checks import checked
@@ -159,6 +162,30 @@ def test_episodes_that_end_before_their_first_step_are_dropped_but_not_as_broken
     state, metrics = jax.jit(trainer.epoch)(trainer.init(hyper), hyper)
     assert int(state.replay.inserted) < 2 * TINY.environments
     assert float(metrics["physics_warnings"]) == 0.0
+
+
+def test_curricula_see_after_how_many_steps_episodes_were_over(env: Any, played: Rollout) -> None:
+    seen: list[jax.Array | None] = []
+
+    class Looking(Curriculum[Any]):
+        def sample(self, state: Any, key: jax.Array, drawn: Goals, view: View) -> Goals:
+            seen.append(view.steps)
+            return drawn
+
+    hyper = dataclasses.replace(tiny(), curriculum=Looking())
+    setup = make_setup(env, TINY)
+    state = init_state(setup, tiny())
+    replay = insert(state.replay, played.episodes, played.outcomes.valid)
+    plan(setup, state.replace(replay=replay), hyper)
+    endless = make_setup(checked(Square(), "Square"), TINY)
+    plan(endless, init_state(endless, tiny()), hyper)
+    length = np.asarray(played.episodes.length)
+    expected = np.minimum(length[length > 0], 12)
+    steps, none = seen
+    assert steps is not None
+    assert none is None
+    np.testing.assert_array_equal(steps[: len(expected)], expected)
+    assert len(set(expected)) > 4
 
 
 def test_agents_learn_from_the_environments_rewards_and_not_beyond_its_ends(

@@ -71,6 +71,26 @@ def test_dropped_and_broken_episodes_leave_no_trace() -> None:
     np.testing.assert_allclose(actual.goal.std, expected.goal.std, rtol=1e-6)
 
 
+def test_what_is_repeated_after_an_early_end_does_not_count() -> None:
+    batch = episodes(np.random.default_rng(6), 4)
+    length = np.array([6, 2, 5, 3])  # of five steps: to the end, two, exactly five, three
+    ended = batch.replace(length=jnp.asarray(length, jnp.int32))
+    actual: Any = observe(init_normaliser(2, 1), ended, jnp.arange(4) != 3)
+    seen, achieved, desired = (
+        np.asarray(x) for x in (batch.observation, batch.achieved_goal, batch.desired_goal)
+    )
+    steps = [5, 2, 5]
+    rows = np.concatenate([seen[i, : n + 1] for i, n in enumerate(steps)])
+    goals = np.concatenate(
+        [np.concatenate([achieved[i, 1 : n + 1], desired[[i] * n]]) for i, n in enumerate(steps)]
+    )
+    assert (len(rows), len(goals)) == (15, 24)
+    for statistics, expected in ((actual.observation, rows), (actual.goal, goals)):
+        np.testing.assert_allclose(statistics.mean, expected.mean(0), rtol=1e-5)
+        np.testing.assert_allclose(statistics.std, expected.std(0), rtol=1e-5)
+        assert int(statistics.count.lo) == len(expected)
+
+
 def test_a_batch_of_only_dropped_episodes_changes_nothing() -> None:
     generator = np.random.default_rng(2)
     normaliser = observe(init_normaliser(2, 1), episodes(generator, 3), jnp.ones(3, bool))

@@ -36,6 +36,19 @@ def test_candidates_are_uniform_over_the_real_episodes_of_replay() -> None:
     np.testing.assert_allclose(counts[:6] / 6000, 1 / 6, atol=0.02)
 
 
+def test_candidates_are_none_of_the_copies_after_an_early_end() -> None:
+    # Of four steps the episodes took one, none, four and two; the fourth is not real.
+    achieved = np.repeat(np.arange(20.0).reshape(4, 5, 1), 2, axis=2)
+    seen = view(achieved, 3, np.zeros((1, 2)))._replace(steps=jnp.array([1, 0, 4, 2], jnp.int32))
+    goals = np.asarray(achieved_goals(jax.random.key(0), seen, (300, 20)))
+    assert goals.shape == (300, 20, 2)
+    shares = np.bincount(goals[..., 0].astype(int).reshape(-1), minlength=20) / 6000
+    expected = np.zeros(20)
+    expected[[0, 1]], expected[5], expected[10:15] = 1 / 6, 1 / 3, 1 / 15
+    np.testing.assert_allclose(shares, expected, atol=0.025)
+    np.testing.assert_array_equal(shares > 0, expected > 0)
+
+
 def test_draws_are_uniform_among_the_eligible_or_else_among_all() -> None:
     some = draw_eligible(jax.random.key(0), jnp.array([False, True, False, True]), 4000)
     np.testing.assert_allclose(np.bincount(some, minlength=4) / 4000, [0, 0.5, 0, 0.5], atol=0.03)
