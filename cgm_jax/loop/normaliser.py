@@ -152,7 +152,7 @@ def _update(
             std_min_value=0.0,
             std_max_value=float(jnp.finfo(jnp.float32).max),
         )
-    updated = updated.replace(std=_floored(updated, floor))
+    updated = updated.replace(std=_floored(updated, floor, statistics.std))
     # With no row at all the update divides by a count of zero.
     return jax.tree.map(
         lambda new, old: jnp.where(usable.any(), new, old).astype(jnp.asarray(old).dtype),
@@ -173,13 +173,17 @@ def _origin(
     return jnp.where(nothing_seen & usable.any() & (jnp.abs(first) > far), first, statistics.mean)
 
 
-def _floored(statistics: RunningStatisticsState, floor: float) -> jax.Array:
-    """Standard deviations [size] by which to divide.
+def _floored(statistics: RunningStatisticsState, floor: float, before: jax.Array) -> jax.Array:
+    """Standard deviations [size] by which to divide, above 0.
 
     At least `floor`, unless even the entry that varies most varies less: observations may have a
-    smaller unit than goals. Never within the rounding of the mean.
+    smaller unit than goals. Never within the rounding of the mean. Where that leaves 0, as of an
+    entry that was always 0 without a floor, what it was `before`: any divisor gives 0.
     """
     std: jax.Array = statistics.std  # pyright: ignore[reportAssignmentType]
     most = std.max()
     least = jnp.where(most > 0.0, jnp.minimum(floor, most), floor)
-    return jnp.maximum(jnp.maximum(std, least), PRECISION * jnp.abs(statistics.mean))
+    floored = jnp.maximum(jnp.maximum(std, least), PRECISION * jnp.abs(statistics.mean))
+    if floor >= jnp.finfo(jnp.float32).tiny:
+        return floored
+    return jnp.where(floored > 0.0, floored, before)

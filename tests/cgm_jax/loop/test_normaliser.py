@@ -111,6 +111,29 @@ def test_a_constant_entry_is_divided_by_the_floor() -> None:
     np.testing.assert_allclose(inputs[:2], [2.0, 5.0], rtol=1e-3)
 
 
+@pytest.mark.parametrize("floor", [0.0, 1e-50])
+def test_without_a_floor_an_entry_that_is_always_zero_stays_zero(floor: float) -> None:
+    batch = episodes(np.random.default_rng(7), 4)
+    batch = batch.replace(
+        observation=batch.observation.at[..., 0].set(0.0),
+        achieved_goal=jnp.zeros((4, 6, 1)),
+        desired_goal=jnp.zeros((4, 1)),
+    )
+    normaliser: Any = init_normaliser(2, 1)
+    for _ in range(2):
+        normaliser = module.observe(
+            normaliser, batch, jnp.ones(4, bool), floor=floor, distance_threshold=THRESHOLD
+        )
+    seen = np.asarray(batch.observation)[..., 1]
+    assert normaliser.observation.std[0] == normaliser.goal.std[0] == 1.0  # 20 thresholds
+    np.testing.assert_allclose(normaliser.observation.std[1], seen.std(), rtol=1e-5)
+    inputs = network_input(
+        normaliser, jnp.array([[0.0, seen.mean()], [2.0, 0.0]]), jnp.zeros((2, 1))
+    )
+    np.testing.assert_allclose(inputs[:, 0], [0.0, 2.0])
+    np.testing.assert_allclose(inputs[0], 0.0, atol=1e-5)
+
+
 def test_the_floor_gives_way_where_observations_have_a_smaller_unit_than_goals() -> None:
     batch = episodes(np.random.default_rng(4), 40)
     small = 1e-5 * batch.observation.at[..., 1].divide(8.0)
