@@ -14,6 +14,12 @@ step, where mrl's is that of any step; Q is the mean over critics; mrl takes 500
 10,000 goals behind a density. Its random exploration after success ("go explore") is not part of
 choosing goals and is left out. With a large `omega_bonus` OMEGA is MEGA.
 
+The cutoff and its limits are returns of rewards of -1 or 0, so that an environment with rewards of
+its own is refused. SAC's critics expect the entropy of future actions besides, weighed by the
+temperature: near uniform actions it lifts all values, even beyond 0, so that more goals count as
+reachable; where it is negative, as its default aim is, it lowers them. So with SAC a cutoff does
+not stand for a number of steps.
+
     python -m cgm_jax.train --curriculum mega --candidates 100
 """
 
@@ -79,6 +85,7 @@ class MEGA(Curriculum[MEGAState]):
     """Rare goals within reach. Its settings, with the names of the options."""
 
     needs_critics: ClassVar[int] = 1
+    needs_sparse_rewards: ClassVar[bool] = True
 
     density_bandwidth: float = traced(0.1, "bandwidth of densities of standardised goals", 1e-3, 10)
     omega_bonus: float = traced(-3.0, "b of OMEGA; the smaller, the more of the task's goals")

@@ -97,12 +97,15 @@ class Curriculum(Protocol[State]):
         shows_threshold: whether the networks must see an episode's threshold, since it varies.
         wants_critics: how many critics an agent gets that can have several, unless a run says.
         needs_critics: how many it must have at least, or is refused.
+        needs_sparse_rewards: whether values must be returns of rewards of -1 or 0; an environment
+            with rewards of its own is refused.
     """
 
     wants_visited: ClassVar[bool] = False
     shows_threshold: ClassVar[bool] = False
     wants_critics: ClassVar[int] = 1
     needs_critics: ClassVar[int] = 0
+    needs_sparse_rewards: ClassVar[bool] = False
 
     def init(self, sizes: Sizes) -> State:
         """The state before any training.

@@ -101,21 +101,7 @@ def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
     """
     check_concrete(hyper)
     known, settings = sizes(setup, hyper), setup.settings
-    if known.critics < hyper.curriculum.needs_critics:
-        name = type(hyper.curriculum).__module__.rpartition(".")[2]
-        least = hyper.curriculum.needs_critics
-        raise SettingError(f"critics: {known.critics}, but curriculum {name} needs {least} or more")
-    if hyper.relabelling.needs_stages and not setup.stages:
-        name = type(hyper.relabelling).__module__.rpartition(".")[2]
-        raise SettingError(f"relabelling: {name} needs stages, and {settings.env} declares none")
-    if hyper.relabelling.needs_stages and hasattr(setup.env, "goal_reward"):
-        raise SettingError("relabelling: stages have rewards of -1 or 0, and env has its own")
-    if hyper.curriculum.shows_threshold and has_own_rules(setup.env):
-        name = type(hyper.curriculum).__module__.rpartition(".")[2]
-        raise SettingError(
-            f"curriculum: {name} varies the distance threshold, but env has a rule of success "
-            "of its own"
-        )
+    _check_together(setup, hyper, known.critics)
     key, agent_key = jax.random.split(jax.random.key(hyper.seed))
     length = known.episode_length
     return TrainingState(
@@ -141,3 +127,32 @@ def init_state(setup: Setup, hyper: Hyperparameters) -> TrainingState:
         updates=jnp.zeros((), jnp.int32),
         failure=jnp.zeros((), jnp.int32),
     )
+
+
+def _check_together(setup: Setup, hyper: Hyperparameters, critics: int) -> None:
+    """Check that environment, agent with so many critics, curriculum and relabelling go together.
+
+    Raises:
+        SettingError: they do not.
+    """
+    env, curriculum, relabelling = setup.env, hyper.curriculum, hyper.relabelling
+    name, relabels = (
+        type(part).__module__.rpartition(".")[2] for part in (curriculum, relabelling)
+    )
+    has_own_rewards = hasattr(env, "goal_reward")
+    if critics < curriculum.needs_critics:
+        least = curriculum.needs_critics
+        raise SettingError(f"critics: {critics}, but curriculum {name} needs {least} or more")
+    if relabelling.needs_stages and not setup.stages:
+        raise SettingError(
+            f"relabelling: {relabels} needs stages, and {setup.settings.env} declares none"
+        )
+    if relabelling.needs_stages and has_own_rewards:
+        raise SettingError("relabelling: stages have rewards of -1 or 0, and env has its own")
+    if curriculum.needs_sparse_rewards and has_own_rewards:
+        raise SettingError(f"curriculum: {name} needs rewards of -1 or 0, and env has its own")
+    if curriculum.shows_threshold and has_own_rules(env):
+        raise SettingError(
+            f"curriculum: {name} varies the distance threshold, but env has a rule of success "
+            "of its own"
+        )

@@ -250,6 +250,14 @@ def test_curricula_that_vary_the_threshold_are_refused(env: Any) -> None:
         init_state(setup, tiny(curriculum="accuracy"))
 
 
+def test_curricula_that_reckon_with_sparse_rewards_are_refused(env: Any) -> None:
+    with pytest.raises(SettingError) as refusal:
+        init_state(make_setup(env, TINY), tiny(curriculum="mega"))
+    assert str(refusal.value) == "curriculum: mega needs rewards of -1 or 0, and env has its own"
+    square = make_setup(checked(Square(), "Square"), TINY)  # whose rewards are -1 or 0
+    assert init_state(square, tiny(curriculum="mega")).curriculum.cutoff == -3.0
+
+
 class NoRange(Ruled):
     reward_range = None
 
