@@ -56,7 +56,12 @@ MIN_DEVIATION = 1e-4
 
 
 class Memo(NamedTuple):
-    """What choosing goals has shown: alpha, and the lowest value of a candidate; scalars."""
+    """What choosing goals has shown, scalars.
+
+    Attributes:
+        alpha: NaN while replay is empty.
+        lowest_value: of a candidate; infinite while there is none.
+    """
 
     alpha: jax.Array
     lowest_value: jax.Array
@@ -135,7 +140,7 @@ class MEGA(Curriculum[MEGAState]):
         known = view.filled > 0
         return drawn.replace(
             desired=jnp.where((known & ~kept)[:, None], frontier, drawn.desired),
-            memo=Memo(jnp.where(known, alpha, missing()), values.min()),
+            memo=Memo(jnp.where(known, alpha, missing()), jnp.where(known, values.min(), jnp.inf)),
         )
 
     def after_training(self, state: MEGAState, outcomes: Outcomes) -> MEGAState:

@@ -85,6 +85,23 @@ def test_episodes_with_broken_physics_change_nothing() -> None:
     assert same_bits(MEGA().after_training(state, broken), state)
 
 
+@pytest.mark.parametrize(("filled", "cutoff"), [(0, -3.0), (50, -4.0)])
+def test_the_cutoff_does_not_follow_goals_of_an_empty_replay(filled: int, cutoff: float) -> None:
+    # All episodes succeed, and all values are -9: the cutoff falls by 1 if a candidate says so.
+    curriculum = MEGA(density_samples=10)
+    seen = view(
+        np.zeros((50, 5, 2)),
+        filled,
+        np.zeros((20, 2)),
+        value=lambda _, goal: jnp.full((1, *goal.shape[:-1]), -9.0),
+        draw=lambda key, count: jax.random.uniform(key, (count, 2)),
+    )
+    state = curriculum.init(SIZES)
+    goals = curriculum.sample(state, jax.random.key(0), drawn_goals(np.ones((20, 2))), seen)
+    after = curriculum.after_training(state, outcomes(goals, np.ones(20)))
+    assert (float(after.lower), float(after.cutoff)) == (-9.0 if filled else -3.0, cutoff)
+
+
 def sampled(state: MEGAState, drawn_value: float, bonus: float) -> tuple[np.ndarray, Memo]:
     """Goals of 64 episodes: replay achieved normal goals, the environment's are uniform in 0..1."""
     achieved = np.random.default_rng(0).normal(size=(50, 5, 2))
