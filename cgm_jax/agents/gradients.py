@@ -58,12 +58,19 @@ def clip_return(
     discount: float | jax.Array,
     reward_range: tuple[float, float] = (-1.0, 0.0),
 ) -> jax.Array:
-    """What a return can be: with rewards of -1 or 0 for ever within [-1 / (1 - gamma), 0].
+    """A value clipped to what a return can be, see `return_limits`."""
+    return jnp.clip(value, *return_limits(discount, reward_range))
+
+
+def return_limits(
+    discount: float | jax.Array, reward_range: tuple[float, float] = (-1.0, 0.0)
+) -> tuple[float | jax.Array, float | jax.Array]:
+    """Least and greatest return: with rewards of -1 or 0 for ever -1 / (1 - gamma) and 0.
 
     Of an episode that ends no return is beyond 0 or one that goes on for ever, whichever is.
     """
     low, high = min(reward_range[0], 0.0), max(reward_range[1], 0.0)
-    return jnp.clip(value, low / (1.0 - discount), high / (1.0 - discount))
+    return low / (1.0 - discount), high / (1.0 - discount)
 
 
 class NoisyMinibatch(Minibatch, kw_only=True):

@@ -12,8 +12,9 @@ It explores by sampling; evaluated and exported is tanh(mean).
 Beyond the paper, targets are clipped. With rewards of -1 or 0 the optimal soft value lies between
 that of uniform actions, where no goal is ever achieved, and that of a goal achieved for ever with
 the entropy of uniform actions, n log 2: the interval of plain returns, shifted by what that entropy
-is worth. The temperature starts at 0.1: the paper's 1 would have values of entropy outweigh
-rewards for the first thousand updates.
+is worth. Where episodes end, any share of it may be missing, so that only the upper end is shifted.
+The temperature starts at 0.1: the paper's 1 would have values of entropy outweigh rewards for the
+first thousand updates.
 
     python -m cgm_jax.train --agent sac --target-entropy -1
 """
@@ -35,6 +36,7 @@ from cgm_jax.agents.gradients import (
     critic_errors,
     descend,
     follow,
+    return_limits,
     train_in_rounds,
 )
 from cgm_jax.agents.networks import (
@@ -139,10 +141,14 @@ class SAC(Agent[SACState]):
         temperature = jnp.exp(state.log_temperature)
         discount = batch.discounts(self.discount)
         target = batch.reward + discount * (next_value - temperature * log_probability)
-        # The future entropy of uniform actions in [-1, 1].
+        # The future entropy of uniform actions in [-1, 1], above 0.
         shift = temperature * batch.action.shape[-1] * math.log(2.0)
         shift *= discount / (1.0 - self.discount)
-        target = clip_return(target - shift, self.discount, batch.reward_range) + shift
+        if batch.continues is None:
+            target = clip_return(target - shift, self.discount, batch.reward_range) + shift
+        else:  # the episode may end before any of it is collected
+            low, high = return_limits(self.discount, batch.reward_range)
+            target = jnp.clip(target, low, high + shift)
         value = apply_critics(critic, batch.inputs, batch.action)
         return critic_errors(value, target)
 

@@ -106,6 +106,41 @@ def test_targets_are_clipped_to_what_soft_returns_can_be(reward: float, end: flo
     assert float(info["critic_loss"]) == pytest.approx(float(expected), rel=1e-5)
 
 
+@pytest.mark.parametrize(("reward", "end"), [(-1e3, -10.0), (1e3, 36.0 * 2 * np.log(2.0))])
+def test_where_episodes_end_targets_reach_from_no_entropy_to_all_of_it(
+    reward: float, end: float
+) -> None:
+    agent = dataclasses.replace(AGENT, initial_temperature=4.0)
+    state, batch = example()
+    state = state.replace(log_temperature=jnp.log(jnp.float32(4.0)))
+    continues = jnp.arange(16) % 2.0
+    batch = batch.replace(reward=jnp.full(16, reward), continues=continues)
+    _, info = agent.critic_loss(state.critic, state, batch)
+    value = agent.value(state, batch.inputs, batch.action)
+    # By hand: 0.9 / (1 - 0.9) * 4 * 2 log 2 of entropy is to come, or none after the last step.
+    target = np.where(continues > 0, end, np.clip(reward, -10.0, 0.0))
+    expected = np.mean(np.square(np.asarray(value) - target))
+    assert float(info["critic_loss"]) == pytest.approx(float(expected), rel=1e-5)
+
+
+def test_where_episodes_end_targets_do_not_reckon_with_entropy_to_come() -> None:
+    state, batch = example()
+    state = state.replace(
+        log_temperature=jnp.log(jnp.float32(2.0)),
+        target_critic=jax.tree.map(jnp.zeros_like, state.target_critic),
+    )
+    batch = batch.replace(continues=jnp.ones(16))
+    _, info = AGENT.critic_loss(state.critic, state, batch)
+    next_inputs, next_noise, reward = in_numpy((batch.next_inputs, batch.next_noise, batch.reward))
+    _, next_log = sampled(in_numpy(state.actor), next_inputs, next_noise)
+    target = reward - 0.9 * 2.0 * next_log
+    # If all the entropy were to come, 24.9, no target would be below 14.9.
+    assert ((target > -10.0) & (target < 14.0)).all()
+    value = np.asarray(AGENT.value(state, batch.inputs, batch.action))
+    expected = np.mean(np.square(value - target))
+    assert float(info["critic_loss"]) == pytest.approx(float(expected), rel=1e-4)
+
+
 @pytest.mark.parametrize(("target", "sign"), [(-5.0, -1), (5.0, 1)])
 def test_the_temperature_falls_where_there_is_too_much_entropy_and_rises_where_too_little(
     target: float, sign: int
