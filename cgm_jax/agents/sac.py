@@ -6,8 +6,9 @@
 
 Actions are tanh(mean + std N(0, 1)); their log-probability is in closed form where others add 1e-6
 inside a logarithm. The temperature's loss is Stable-Baselines3's, with log(alpha) for the paper's
-alpha, and so is the order of steps: critics, actor, temperature, each with the alpha from before.
-It explores by sampling; evaluated and exported is tanh(mean).
+alpha. Steps are taken in the order critics, actor, temperature, each with the alpha from before, to
+the same effect as Stable-Baselines3's, whose temperature goes first. It explores by sampling;
+evaluated and exported is tanh(mean).
 
 Beyond the paper, targets are clipped. With rewards of -1 or 0 the optimal soft value lies between
 that of uniform actions, where no goal is ever achieved, and that of a goal achieved for ever with
