@@ -3,9 +3,11 @@
     p(g) proportional to std_i Q_i(s_0, pi(s_0, g), g)   over draws from the environment's goals
 
 The standard deviation to the power of `disagreement_power`: 1 is the paper's choice, 2 the
-variance, 0 uniform. What differs: the ensemble are the agent's own critics, each with a target of
-its own, where the paper trains three value functions beside the agent; so this wants three critics,
-which `--critics` sets if nothing else is asked for. The paper takes 1,000 candidates.
+variance, 0 uniform. What differs: the ensemble are the agent's own critics, where the paper trains
+three value functions beside the agent; so this wants three critics, which `--critics` sets if
+nothing else is asked for. DDPG's have a target each. TD3's and SAC's share one, the least that any
+target critic expects: so they differ by how they began alone, and `vds` changes the agent, too,
+whose target becomes the least of three instead of two. The paper takes 1,000 candidates.
 
     python -m cgm_jax.train --curriculum vds --critics 3
 """
