@@ -8,8 +8,9 @@ random actions from starts that were good, beginning at a state in which the onl
 here they are states that training episodes visit (a random step of each), since goals differ and
 no such state is given. And where it tries every start several times, R(s, g) is the mean success of
 the training episodes that began where the critics expected most nearly the same return,
-Q(s, pi(s, g), g); so starts are chosen as well as the critics tell near from far. While no visited
-state is of intermediate difficulty, any of them is a start.
+Q(s, pi(s, g), g); so starts are chosen as well as the critics tell near from far. The authors also
+mix in starts from all that were good in earlier iterations; here there are none but the states
+visited recently. While none of these is of intermediate difficulty, any of them is a start.
 
     python -m cgm_jax.train --curriculum starts --reset-share 0.5
 
