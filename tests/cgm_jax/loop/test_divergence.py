@@ -72,6 +72,22 @@ def test_a_failed_run_stays_as_it_was_for_good() -> None:
     assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5  # the last finite one
 
 
+def test_losses_of_updates_that_are_thrown_away_are_not_logged() -> None:
+    healthy, broken = tiny(), tiny(critic_learning_rate=1e30)
+    train, evaluate = jax.jit(TRAINER.train), jax.jit(TRAINER.evaluate)
+    once = train(TRAINER.init(healthy), healthy, 1)
+    assert float(once.statistics.updates) == TINY.updates_per_cycle
+    later = train(once.replace(failure=jnp.int32(CRITIC)), healthy, 2)
+    assert float(later.statistics.updates) == TINY.updates_per_cycle
+    _, metrics = evaluate(later, healthy)
+    for name, total in once.statistics.losses.items():
+        assert float(metrics[name]) == pytest.approx(float(total) / 4)
+        assert float(total) != 0.0
+    _, metrics = evaluate(train(TRAINER.init(broken), broken, 2), broken)
+    assert int(metrics["failure"]) & CRITIC
+    assert all(np.isnan(metrics[name]) for name in once.statistics.losses)
+
+
 @pytest.mark.parametrize("name", ["actor_learning_rate", "critic_learning_rate"])
 def test_a_run_that_diverges_leaves_the_bits_of_the_others_alone(name: str) -> None:
     def train(rate: float) -> tuple[Any, Any]:
