@@ -1,3 +1,4 @@
+import math
 from typing import Any
 
 import jax
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 
 from cgm_jax.config.fields import stack
-from cgm_jax.curricula.cgm import CGM, joint_success_rates
+from cgm_jax.curricula.cgm import CGM, CGMState, joint_success_rates
 from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
 from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
 from cgm_jax.loop.training import make_trainer
@@ -46,6 +47,30 @@ def test_a_share_of_full_goals_is_forced_and_the_rest_drawn_as_before() -> None:
     np.testing.assert_allclose(forced, 0.75 * plain + 0.25 * np.array([0, 0, 0, 1]), rtol=1e-6)
     none = CGM(c_g=0.4, kappa=4.0, full_share=0.0).probabilities(rates)
     np.testing.assert_array_equal(none, plain)
+
+
+@pytest.mark.parametrize("c_g", [0.0, 0.5, 1.0])
+def test_without_sharpness_masks_are_drawn_uniformly_whatever_succeeds(c_g: float) -> None:
+    curriculum = CGM(c_g=c_g, kappa=0.0)
+    # Rates at which 1 - |c_m - c_g| is 0 are among them, and all at once.
+    for rates in (np.linspace(0.0, 1.0, 8), np.zeros(8), np.ones(8)):
+        probabilities = curriculum.probabilities(jnp.asarray(rates, jnp.float32))
+        np.testing.assert_allclose(probabilities, 0.125, rtol=1e-6)
+    many = init_history(10, 12)
+    certain = jnp.tile(jnp.arange(12) % 2, (10, 1))  # rates of 0 and 1
+    history = record_successes(many, certain, jnp.ones(10, bool))
+    masks, _ = curriculum.draw(CGMState(history), jax.random.key(0), 8000)
+    np.testing.assert_allclose(masks.mean(axis=0), 0.5, atol=0.023)  # four standard errors
+    kept = np.bincount(np.asarray(masks.sum(axis=1), int), minlength=13) / 8000
+    expected = np.array([math.comb(12, k) for k in range(13)]) / 2**12
+    np.testing.assert_allclose(kept, expected, atol=0.02)
+
+
+def test_training_without_sharpness_practises_all_masks_alike() -> None:
+    run = epochs(Chances(), tiny(curriculum="cgm", c_g=1.0, kappa=0.0))
+    shares = np.stack([next(run)[1]["mask_share"] for _ in range(4)])
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(shares.mean(axis=0), 0.125, atol=0.06)  # four, of 512 episodes
 
 
 def test_settings_are_leaves_where_traced_and_structure_where_static() -> None:
