@@ -12,7 +12,7 @@ import pytest
 from brax.envs.base import State
 
 from cgm_jax.agents.ddpg import DDPG
-from cgm_jax.config.fields import SettingError
+from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.cycle import plan
 from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
@@ -25,6 +25,7 @@ from cgm_jax.replay.ring import insert
 from tests.cgm_jax.agents.oracle import SIZES, action_value, example_batch, in_numpy
 from tests.cgm_jax.own_environments import Base
 from tests.cgm_jax.probe import TINY, tiny
+from tests.cgm_jax.protocols import assert_no_type_is_promoted
 
 END = 0.4
 TOLERANCE = np.array([0.1, 0.4])
@@ -242,6 +243,14 @@ def test_targets_do_not_look_beyond_an_end_and_are_clipped_to_the_rewards_own_re
     # Huge values of the next state: 1 / (1 - 0.9) is the most that a return can be.
     target = np.where(continues > 0, 10.0, reward)
     assert float(loss) == pytest.approx(np.mean((target - value) ** 2), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "values", [{"curriculum": "starts"}, {"curriculum": "goid", "agent": "sac"}]
+)
+def test_no_type_is_promoted_where_episodes_end(values: dict[str, Any]) -> None:
+    trainer = make_trainer(checked(Drifting(), "Drifting"), TINY)
+    assert_no_type_is_promoted(trainer, stack([tiny(**values)]))
 
 
 def test_curricula_that_vary_the_threshold_are_refused(env: Any) -> None:
