@@ -205,7 +205,7 @@ def _report(outcomes: "Mapping[str, Outcome]", mask: str) -> list[str]:
     lines = []
     for name, outcome in outcomes.items():
         dropped = outcome.episodes - outcome.valid
-        note = f", {dropped} dropped for physics_warnings" if dropped else ""
+        note = f", {dropped} dropped: physics broke, or over at the start" if dropped else ""
         if not outcome.valid:
             lines.append(f"{name:{width}}  no valid episode{note}")
             continue

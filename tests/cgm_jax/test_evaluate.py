@@ -59,8 +59,8 @@ def test_dropped_episodes_and_masks_are_said() -> None:
     assert "10 episodes, goals with 0 and 14 masked)" in _report(outcomes, "0,14")[2]
     assert _report(outcomes, "xz") == [
         "some   50.0 %  (95 %: 21.5 to 78.5, 8 episodes, goals with x and z masked, "
-        "2 dropped for physics_warnings)",
-        "none  no valid episode, 10 dropped for physics_warnings",
+        "2 dropped: physics broke, or over at the start)",
+        "none  no valid episode, 10 dropped: physics broke, or over at the start",
         "all   100.0 %  (95 %: 72.2 to 100.0, 10 episodes, goals with x and z masked)",
     ]
     assert _report({"all": outcomes["all"]}, "") == [
