@@ -57,7 +57,9 @@ class Accuracy(Curriculum[AccuracyState]):
     shows_threshold: ClassVar[bool] = True
 
     threshold_steps: int = static(4, "distance thresholds to practise at", 1, 1000)
-    threshold_widest: float = traced(2.5, "the widest, in the environment's own", 1, 1e6)
+    threshold_widest: float = traced(
+        2.5, "widest threshold, in multiples of the environment's", 1, 1e6
+    )
     progress_window: int = shared(Progress, "progress_window")
     progress_floor: float = shared(Progress, "progress_floor")
     progress_exponent: float = traced(1.0, "preference for the greatest change, beta", 0, 100)

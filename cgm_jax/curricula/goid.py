@@ -57,7 +57,9 @@ class GOID(Curriculum[GOIDState]):
     least_success: float = traced(0.1, "estimated success below which it is too hard", 0, 0.5)
     most_success: float = traced(0.9, "estimated success above which it is too easy", 0.5, 1)
     old_goal_share: float = traced(1 / 3, "share of goals that were practised before", 0, 1)
-    neighbours: int = static(10, "practised episodes behind an estimate of success", 1, 10**4)
+    neighbours: int = static(
+        10, "nearest practised episodes behind an estimate of success", 1, 10**4
+    )
     practised_episodes: int = static(500, "recent episodes to estimate success from", 1, 10**6)
     candidates: int = static(100, "goals among which to choose", 1, 10**5)
 

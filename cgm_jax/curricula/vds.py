@@ -40,7 +40,7 @@ class VDS(Curriculum[VDSState]):
     wants_critics: ClassVar[int] = 3
     needs_critics: ClassVar[int] = 2
 
-    disagreement_power: float = traced(1.0, "goals count by critics' deviation to this", 0, 100)
+    disagreement_power: float = traced(1.0, "exponent of the critics' standard deviation", 0, 100)
     candidates: int = shared(GOID, "candidates")
 
     def init(self, sizes: Sizes) -> VDSState:
