@@ -4,7 +4,9 @@ A run directory may come from anywhere, and its config.json names files. They ru
 has named them before, on a command line, and only with the bytes that they had then.
 
 One small file per path and content, whose name is made of their SHA-256, as direnv has it: nothing
-to lock, nothing to lose if two processes write at once, and no list that a crash could damage.
+to lock, nothing to lose if two processes write at once, and no list that a crash could damage. It
+holds the path, for people; and one that holds anything else does not count, since whoever can be
+made to write something somewhere could be made to write it there.
 """
 
 import contextlib
@@ -23,13 +25,18 @@ def remember(path: Path, data: bytes) -> None:
         return
     with contextlib.suppress(OSError):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # For people; what counts is that the file is there.
-        (folder / _entry(path, data)).write_text(f"{path}\n", errors="backslashreplace")
+        (folder / _entry(path, data)).write_bytes(_content(path))
 
 
 def remembers(path: Path, data: bytes) -> bool:
     """Whether the user has named the file `path` when its bytes were `data`."""
-    return (folder := _folder()) is not None and (folder / _entry(path, data)).is_file()
+    if (folder := _folder()) is None:
+        return False
+    entry = folder / _entry(path, data)
+    try:
+        return entry.is_file() and entry.read_bytes() == _content(path)
+    except OSError:
+        return False
 
 
 def remembers_other(path: Path) -> bool:
@@ -57,6 +64,10 @@ def _folder() -> Path | None:
 
 def _entry(path: Path, data: bytes) -> str:
     return f"{_digest(_bytes(path))}-{_digest(data)}"
+
+
+def _content(path: Path) -> bytes:
+    return f"{path}\n".encode(errors="backslashreplace")
 
 
 def _bytes(path: Path) -> bytes:

@@ -213,9 +213,26 @@ def seed_values(options: Any, grid: Grid) -> Grid:
     return {**grid, "seed": list(range(options.seeds))}
 
 
-def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) -> Options:
-    """Parse arguments; on bad ones end with one line and exit code 2."""
+def parse(
+    kind: type[Options],
+    arguments: Sequence[str] | None,
+    program: str,
+    *,
+    from_file: bool = False,
+) -> Options:
+    """Parse arguments; on bad ones end with one line and exit code 2.
+
+    Args:
+        kind: the options.
+        arguments: what is given; None for the command line.
+        program: its name, for --help.
+        from_file: whether they stand in a file, and are not the user's now.
+
+    Raises:
+        SettingError: one is no option, but would have tyro do something else than parse.
+    """
     words = sys.argv[1:] if arguments is None else arguments
+    _check_words(words, from_file=from_file)
     if asks_for_help(words):
         if issubclass(kind, TrainingOptions):
             show_preset(words, kind.default_preset, single=not kind.sweeps)
@@ -231,6 +248,20 @@ def parse(kind: type[Options], arguments: Sequence[str] | None, program: str) ->
         if end.code == ExitCode.BAD_INPUT:
             refuse(_first_paragraph(complaint.getvalue()))
         raise
+
+
+def _check_words(words: Sequence[str], *, from_file: bool) -> None:
+    """Check that words do nothing but choose options.
+
+    Tyro has options of its own, which write a completion script to whatever path they are given,
+    and end the process. So does --help, which a file has no business to ask for.
+
+    Raises:
+        SettingError: one does more.
+    """
+    for word in words:
+        if word.replace("_", "-").startswith("--tyro-") or (from_file and asks_for_help([word])):
+            raise SettingError(f"{word[:60]!r} is no option here")
 
 
 def run_program(main: Callable[[], int]) -> NoReturn:

@@ -165,7 +165,7 @@ def _resumed(
     others += [name for name in ("preset", "seeds", *OWN) if getattr(named, name)]
     if others:
         raise SettingError(f"resume: a launch resumes as it was begun, without {others[0]}")
-    own = _own_code(parse(SweepOptions, launch.sweep, f"{PROGRAM} --"))
+    own = _own_code(parse(SweepOptions, launch.sweep, f"{PROGRAM} --", from_file=True))
     for kind, text in _own_code(named):
         if (kind, text) not in own:
             raise SettingError(f"{kind}: {launch.path} was launched with something else")
@@ -213,7 +213,7 @@ def _groups(words: Sequence[str], *, named_now: bool) -> tuple[list[Group], str]
     Raises:
         SettingError: the sweep is refused.
     """
-    options = parse(SweepOptions, words, f"{PROGRAM} --")
+    options = parse(SweepOptions, words, f"{PROGRAM} --", from_file=not named_now)
     for name in OWN:
         if getattr(options, name) is not None:
             raise SettingError(f"{name}: goes before --, or is the launch's own")

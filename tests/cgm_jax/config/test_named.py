@@ -284,6 +284,21 @@ def test_an_entry_is_for_one_path_and_one_content(tmp_path: Path) -> None:
     assert not allowed.remembers_other(tmp_path / "b.py")
 
 
+def test_an_entry_that_somebody_else_was_made_to_write_does_not_count(
+    tmp_path: Path, state: Path
+) -> None:
+    file = tmp_path / "ä\udcff.py"
+    allowed.remember(file, b"1")
+    (entry,) = state.rglob("*-*")
+    assert entry.read_bytes() == f"{tmp_path}/ä\\udcff.py\n".encode()
+    assert allowed.remembers(file, b"1")
+    for content in (b"# a completion script\n", b"", entry.read_bytes() + b"\n"):
+        entry.write_bytes(content)
+        assert not allowed.remembers(file, b"1")
+    allowed.remember(file, b"1")
+    assert allowed.remembers(file, b"1")
+
+
 def test_labels_are_names_for_files() -> None:
     assert label("/some/where/point_mass.py:PointMass") == "point_mass-PointMass"
     assert label("package.module:Name") == "package.module-Name"

@@ -11,6 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgm_jax.config.fields import SettingError
+from cgm_jax.host.command_line import parse
+from cgm_jax.sweep import SweepOptions
 from tests.cgm_jax.sweeps import ROOT
 
 SMOKE = ["--preset", "smoke", "--engine", "native"]
@@ -227,3 +230,21 @@ def test_the_line_is_the_same_where_output_is_plain_ascii() -> None:
         for encoding in ("ascii", "utf-8")
     ]
     assert lines == ["error: Unrecognized options: stray, words\n"] * 2
+
+
+@pytest.mark.parametrize("option", ["--tyro-write-completion", "--tyro_write-completion"])
+@pytest.mark.parametrize("before", [[], ["--preset", "smoke"]])
+def test_no_option_writes_a_completion_script(
+    option: str, before: list[str], tmp_path: Path
+) -> None:
+    words = [*before, option, "bash", str(tmp_path / "script")]
+    with pytest.raises(SettingError, match=rf"^'{option}' is no option here$"):
+        parse(SweepOptions, words, "sweep")
+    assert not (tmp_path / "script").exists()
+
+
+@pytest.mark.parametrize("word", ["-h", "--help"])
+def test_a_file_cannot_ask_for_help(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SettingError, match=f"^'{word}' is no option here$"):
+        parse(SweepOptions, ["--preset", "smoke", word], "sweep", from_file=True)
+    assert not capsys.readouterr().out

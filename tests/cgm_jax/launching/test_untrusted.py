@@ -94,6 +94,32 @@ def test_a_launch_from_elsewhere_connects_to_no_cluster_that_was_not_named(
     assert program._how_to_resume(planned[0]).endswith(f"/out --address {address}")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--tyro-write-completion", "bash", "victim"),
+        ("--tyro_print_completion", "bash"),
+        ("--preset", "smoke", "-h"),
+        ("--help",),
+    ],
+)
+def test_a_launch_from_elsewhere_chooses_options_and_nothing_else(
+    words: tuple[str, ...],
+    folder: Path,
+    planned: list[Launch],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (folder / "victim").write_text("mine")
+    theirs = Launch(folder / "out", "local", 2, "smoke", words, Resources())
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match="is no option here"):
+        program.main(["--resume", "out"])
+    assert (folder / "victim").read_text() == "mine"
+    assert not capsys.readouterr().out
+    assert not planned
+
+
 @pytest.mark.parametrize("part", ["attempts/1.jsonl", "logs/1.log", "parts", "launch.json"])
 def test_no_link_in_a_launch_leads_out_of_it(
     part: str, folder: Path, planned: list[Launch]
