@@ -179,6 +179,7 @@ class Renderer:
     def close(self) -> None:
         """Free the drawing surface. Any number of times."""
         if self._context is not None:
+            self._surface.make_current()  # what is freed is the current one's, whosever that is
             self._context.free()
             self._surface.free()
             self._context = None

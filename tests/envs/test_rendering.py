@@ -109,6 +109,17 @@ def test_the_arm_is_drawn_where_it_is(reach: Scene) -> None:
     assert not changed[-20:].any()  # the table's front and the floor
 
 
+@pytest.mark.parametrize("closed", [0, 1])
+def test_closing_a_renderer_leaves_others_as_they_are(reach: Scene, closed: int) -> None:
+    renderers = [Renderer(reach, 0.05, 160, 120) for _ in range(2)]
+    before = [one.frame(reach.home, GOAL, achieved=False) for one in renderers]
+    np.testing.assert_array_equal(before[0], before[1])
+    renderers.pop(closed).close()
+    with renderers[0] as other:
+        np.testing.assert_array_equal(other.frame(reach.home, GOAL, achieved=False), before[0])
+    assert before[0].mean() > 50
+
+
 def test_frames_larger_than_the_buffer_are_refused(reach: Scene) -> None:
     with pytest.raises(ValueError, match=r"width: 1281 is not within \[1, 1280\]"):
         Renderer(reach, 0.05, 1281, 480)
