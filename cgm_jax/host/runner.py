@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 
@@ -62,14 +62,17 @@ def run_jobs(
         OSError: metrics, or a job's last checkpoint, cannot be written.
         SettingError: a checkpoint holds the state of another program.
     """
-    rows, last = [], []
+    rows, last, former = [], [], directory.former_metrics()
     shard = directory.config.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         progress.compiling()
         job, training = _begin(job, index, directory, compiler)
-        _keep_lost_metrics(training, index, directory, rows)
-        directory.replace_metrics(rows + training.rows)
+        if not (training.epoch or training.cycle or training.part):
+            _keep_lost_metrics(job.group, index, directory, former)
+        # What later groups have done stays in the file, however this one ends.
+        later = [row for other in jobs[index + 1 :] for row in _former_rows(other.group, former)]
+        directory.replace_metrics(rows + training.rows + later)
         settings = job.group.settings
         done = training.epoch * settings.cycles_per_epoch + training.cycle
         progress.skip(done + Fraction(training.part, job.parts.total))
@@ -154,23 +157,39 @@ def _renamed(rows: Sequence[Row], group: Group) -> list[Row]:
     return renamed
 
 
-def _keep_lost_metrics(
-    training: TrainingProgress, index: int, directory: RunDirectory, rows: Sequence[Row]
-) -> None:
-    """Say that a group begins anew, and set metrics aside that would be lost by that.
+def _former_rows(group: Group, former: Mapping[str, Sequence[Row]]) -> list[Row]:
+    """What an earlier process has written of a group's runs, epoch by epoch.
 
     Args:
-        training: how far the group has trained.
+        group: the runs.
+        former: rows by run.
+    """
+    rows = [row for run in group.runs for row in former.get(run.name, ())]
+    return sorted(_renamed(rows, group), key=lambda row: row["epoch"])
+
+
+def _keep_lost_metrics(
+    group: Group, index: int, directory: RunDirectory, former: Mapping[str, Sequence[Row]]
+) -> None:
+    """Of a group that is at its beginning: say so if it is not there for the first time.
+
+    Metrics that would be lost by that are set aside.
+
+    Args:
+        group: the runs.
         index: its number.
         directory: what an earlier process has written, if there was one.
-        rows: what groups before this one have written.
+        former: what can be read of its rows, by run.
+
+    Raises:
+        OSError: the metrics cannot be set aside.
     """
-    lines = directory.count_metrics()
-    begun = training.epoch or training.cycle or training.part
-    if begun or lines is None or (index and lines <= len(rows)):
+    own = _former_rows(group, former)
+    lines = directory.count_metrics() if index == 0 else None
+    if not own and lines is None:
         return
     note = f"no checkpoint of group {index}: it begins anew"
-    if lines > len(rows):
+    if own or (lines and not former):  # what cannot be read may have been its own
         note += f", and the metrics until now are kept as {directory.set_metrics_aside()}"
     print(note, file=sys.stderr)
 

@@ -130,6 +130,23 @@ class RunDirectory:
         with (self.path / METRICS).open(encoding="utf-8") as file:
             return [json.loads(line) for line in file if line.endswith("\n")]
 
+    def former_metrics(self) -> dict[str, list[Row]]:
+        """What can be read of metrics.jsonl, by run, each epoch once; nothing if it is not there.
+
+        Raises:
+            OSError: the file is there, but cannot be read.
+        """
+        path, found = self.path / METRICS, dict[tuple[str, int], Row]()
+        for line in path.read_bytes().splitlines() if path.exists() else []:
+            with contextlib.suppress(*UNREADABLE):
+                row = json.loads(line)
+                check_row(row)
+                found[row["run"], row["epoch"]] = row
+        rows: dict[str, list[Row]] = {}
+        for (run, _), row in found.items():
+            rows.setdefault(run, []).append(row)
+        return rows
+
     def checked_metrics(self) -> list[Row]:
         """The same, of a directory that may come from anybody.
 

@@ -6,6 +6,7 @@ import os
 import re
 import resource
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,75 @@ def test_without_any_checkpoint_the_group_begins_anew_and_says_so_and_keeps_old_
     assert "no checkpoint of group 0: it begins anew\n" in capsys.readouterr().err
     assert [Path(f"{metrics}.{number}").read_bytes() for number in (1, 2)] == kept
     assert_same_results(whole, out)
+
+
+ONE_BY_ONE = ["--side-by-side", "1"]
+"""A group for each run."""
+
+
+def stop_last_group(monkeypatch: pytest.MonkeyPatch, epoch: int, out: Path) -> None:
+    """Train a group for each run; stop the last one in the middle of an epoch."""
+    groups = iter(range(RUNS))
+
+    def stop() -> None:
+        if next(groups) == RUNS - 1:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        at_epoch(patch, epoch, stop)
+        assert train(out, *ONE_BY_ONE) == 75
+
+
+@pytest.fixture(scope="module")
+def names(whole: Path) -> list[str]:
+    return [row["run"] for row in rows(whole)[:RUNS]]
+
+
+def test_rows_of_a_later_group_without_a_checkpoint_are_kept_aside(
+    names: list[str],
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    stop_last_group(monkeypatch, 3, out)
+    for path in (out / "checkpoints").glob("group1_*"):
+        path.unlink()
+    metrics = out / "metrics.jsonl"
+    before = metrics.read_bytes()
+    assert [row["run"] for row in rows(out)] == [names[0]] * EPOCHS + [names[1]] * 3
+    capsys.readouterr()
+    assert train(out, *ONE_BY_ONE) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "begins anew" in line]
+    kept = f"it begins anew, and the metrics until now are kept as {metrics}.1"
+    assert said == [f"no checkpoint of group 1: {kept}"]
+    assert Path(f"{metrics}.1").read_bytes() == before
+    expected = sorted(rows(whole), key=lambda row: names.index(row["run"]))
+    assert rows(out) == expected
+
+
+def test_rows_of_later_groups_stay_while_earlier_ones_are_trained_for_longer(
+    names: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    assert train(out, *ONE_BY_ONE) == 0
+    before = rows(out)
+    longer = ["--resume", str(out), "--epochs", "6"]
+    with monkeypatch.context() as patch:
+        at_epoch(patch, 5, lambda: os.kill(os.getpid(), signal.SIGTERM))
+        assert sweep.main(longer) == 75
+    meanwhile = rows(out)
+    assert meanwhile[: len(before)] == before
+    assert [(row["run"], row["epoch"]) for row in meanwhile[len(before) :]] == [(names[0], 5)]
+    assert sweep.main(longer) == 0
+    assert [(row["run"], row["epoch"]) for row in rows(out)] == [
+        (name, epoch) for name in names for epoch in range(1, 7)
+    ]
+    assert "begins anew" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("damage", ["cut", "deleted"])

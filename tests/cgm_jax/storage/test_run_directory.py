@@ -266,3 +266,14 @@ def test_a_config_beyond_all_measure_is_not_read(tmp_path: Path) -> None:
         file.truncate(2**30)
     with pytest.raises(SettingError, match="it has more than 268,435,456 bytes"):
         RunDirectory.open(tmp_path).config.groups()
+
+
+def test_of_damaged_metrics_what_can_be_read_counts_once(tmp_path: Path) -> None:
+    assert RunDirectory(tmp_path).former_metrics() == {}
+    whole = {"success_rate": 0.5, "physics_warnings": 0, "failed_epoch": None, "failure": None}
+    kept = [{"run": run, "epoch": epoch, **whole} for epoch in (1, 2) for run in "ab"]
+    again = {**kept[0], "success_rate": 0.25}
+    lines = [*map(json.dumps, [*kept, again]), "5", "[" * 10**5, '{"run": "a"}', '{"run": "a", "ep']
+    (tmp_path / "metrics.jsonl").write_bytes(b"\xff\x00{\n" + "\n".join(lines).encode())
+    found = RunDirectory(tmp_path).former_metrics()
+    assert found == {"a": [again, kept[2]], "b": [kept[1], kept[3]]}
