@@ -14,6 +14,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from cgm_jax.launching.attempts import MAX_FRUITLESS, Attempt, Order, Step, next
 from cgm_jax.launching.directory import Launch, Resources, carried_environment
 from cgm_jax.launching.record import append_event, events, fruitless_attempts, last_code
 from cgm_jax.launching.supervision import Ended
+from cgm_jax.storage.layout import SLURM
 
 MARGIN_SECONDS = 70
 """From the signal to the time limit: SLURM may be a minute late."""
@@ -107,7 +109,7 @@ class Slurm:
         import submitit
 
         self._launch, resources = launch, self._resources
-        executor = submitit.SlurmExecutor(launch.path / "slurm", max_num_timeout=ENDLESS)
+        executor = submitit.SlurmExecutor(_new_folder(launch.path), max_num_timeout=ENDLESS)
         memory = None if resources.memory is None else f"{int(resources.memory * 2**10)}M"
         optional = {"gpus_per_node": resources.gpus, "mem": memory}
         executor.update_parameters(
@@ -207,6 +209,22 @@ class Slurm:
 
     def stop(self) -> None:
         """See `Engine`: jobs go on without the launcher."""
+
+
+def _new_folder(directory: Path) -> Path:
+    """Make a folder for submitit in a launch's directory, which may come from anybody.
+
+    Jobs unpickle what lies there under their numbers, which can be guessed, so that it has to be a
+    folder to which nobody else has written. Jobs of an earlier launcher keep theirs.
+
+    Raises:
+        SettingError: it cannot be made.
+    """
+    try:
+        (directory / SLURM).mkdir(mode=0o700, exist_ok=True)
+        return Path(tempfile.mkdtemp(dir=directory / SLURM))
+    except OSError as error:
+        raise SettingError(f"out: cannot write to {directory}: {error.strerror}") from None
 
 
 def job_states() -> dict[str, str]:

@@ -16,6 +16,10 @@ PARTS = (
     *("launch.json", "parts", "attempts", "logs"),
 )
 
+SLURM = "slurm"
+"""Folder of submitit's, which makes links in it: each launcher has a new folder there, so that
+nothing that lay in it before is ever opened."""
+
 WANDB_LOG = "debug-core.log"
 
 
@@ -23,13 +27,15 @@ def check_parts(path: Path) -> None:
     """Check that all parts of a run directory are ordinary files and directories.
 
     A symbolic link in a directory from elsewhere would have a sweep write wherever it leads to. One
-    that wandb makes beside its log is left alone, since nothing here opens it.
+    that wandb makes beside its log is left alone, since nothing here opens it; so is what lies in
+    submitit's folder.
 
     Raises:
         SettingError: one is not.
     """
-    for part in PARTS:
-        for folder, folders, files in [(path, [part], []), *os.walk(path / part)]:
+    for part in (*PARTS, SLURM):
+        within = [] if part == SLURM else os.walk(path / part)
+        for folder, folders, files in [(path, [part], []), *within]:
             for name in (*folders, *files):
                 found = Path(folder) / name
                 kept = found.relative_to(path).parts

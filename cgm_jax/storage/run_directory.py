@@ -8,7 +8,8 @@ DIR/figures/*.png         and best_policy.gif, where a tracker is to have it
 DIR/tracking/             what a tracker was sent, and what it keeps here (results/tracking.py)
 DIR/checkpoints/          the whole training state of each group, see checkpoint.py
 DIR/lock, DIR/holder      held while a sweep writes here, and by whom
-DIR/launch.json           what was launched in parts, of which parts/, attempts/ and logs/ are
+DIR/launch.json           what was launched in parts, of which parts/, attempts/ and logs/ are, and
+                          slurm/, in which each launcher has a folder for its jobs
 
 A directory may come from anybody. Nothing in it leads out of it, neither a name in its config nor a
 symbolic link; and code that its config names runs only if the user has named it (config/named.py).

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import pytest
 from cgm_jax import launch as program
 from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
+from cgm_jax.launching import slurm
 from cgm_jax.launching.directory import Launch, Resources
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.launching.launches import SMOKE
 from tests.cgm_jax.sweeps import POINT_MASS, ROOT
 
@@ -120,7 +123,9 @@ def test_a_launch_from_elsewhere_chooses_options_and_nothing_else(
     assert not planned
 
 
-@pytest.mark.parametrize("part", ["attempts/1.jsonl", "logs/1.log", "parts", "launch.json"])
+@pytest.mark.parametrize(
+    "part", ["attempts/1.jsonl", "logs/1.log", "parts", "launch.json", "slurm"]
+)
 def test_no_link_in_a_launch_leads_out_of_it(
     part: str, folder: Path, planned: list[Launch]
 ) -> None:
@@ -134,6 +139,29 @@ def test_no_link_in_a_launch_leads_out_of_it(
     with pytest.raises(SettingError, match=f"{part} is a symbolic link"):
         program.main(["--resume", "out"])
     assert not planned
+
+
+def test_jobs_of_slurm_unpickle_nothing_that_lay_in_the_directory_before(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submitit = pytest.importorskip("submitit")
+    monkeypatch.setattr(submitit.SlurmExecutor, "affinity", staticmethod(lambda: 1))
+    monkeypatch.setattr(slurm.shutil, "which", lambda program: f"/usr/bin/{program}")
+    launch = Launch(folder / "out", "slurm", 2, "smoke", (), Resources())
+    (launch.path / "slurm").mkdir(parents=True)
+    (launch.path / "slurm" / "1_submitted.pkl").write_bytes(b"theirs")
+    # As submitit has them, of an earlier launcher's jobs.
+    (launch.path / "slurm" / ".submission_file_1.sh").symlink_to("1_submission.sh")
+    with RunDirectory.claimed(launch.path, fresh=True):
+        engines = [slurm.Slurm(launch.resources) for _ in range(2)]
+        for engine in engines:
+            engine.begin(launch)
+    places = [engine._executor.folder for engine in engines]
+    assert len({*places}) == 2
+    for place in places:
+        assert place.parent == launch.path / "slurm"
+        assert stat.S_IMODE(place.stat().st_mode) == 0o700
+        assert not list(place.iterdir())
 
 
 ROWS = {
