@@ -12,6 +12,8 @@ from cgm_jax.config.shards import Shard, cut, parse_shard
 from cgm_jax.host.command_line import TrainingOptions, chosen_values, seed_values
 from cgm_jax.host.setting_options import given_settings
 from cgm_jax.host.settings_file import SettingsFile, read_settings_file, typed
+from cgm_jax.storage.config_file import damaged
+from cgm_jax.storage.untrusted import UNREADABLE
 
 AGAIN = "config"
 """Recorded as the preset of a sweep whose settings are those of another one's config.json."""
@@ -82,7 +84,13 @@ def _whole(options: TrainingOptions) -> Asked:
     if file.runs is None:
         groups = build_groups(preset, chosen, single=not options.sweeps)
         return Asked(preset, chosen, groups, options.start, options.from_run)
-    groups = groups_again(file.runs, chosen)
+    try:
+        groups = groups_again(file.runs, chosen)
+    except SettingError:
+        raise
+    except UNREADABLE as error:
+        assert options.config is not None  # which has the runs
+        raise SettingError(f"config: {damaged(options.config, error)}") from None
     count = sum(len(group.runs) for group in groups)
     if count > 1 and not options.sweeps:
         raise SettingError(

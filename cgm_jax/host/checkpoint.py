@@ -12,7 +12,7 @@ is set aside under a name that says so, and the one before serves.
 
 import contextlib
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +23,7 @@ import numpy as np
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.loop.state import TrainingState
-from cgm_jax.storage.arrays import read_shapes, write_arrays
+from cgm_jax.storage.arrays import open_arrays, read_shapes, write_arrays
 from cgm_jax.storage.checkpoints import (
     FORMAT,
     damage,
@@ -34,6 +34,7 @@ from cgm_jax.storage.checkpoints import (
 )
 from cgm_jax.storage.files import PARTIAL, replacing
 from cgm_jax.storage.metrics import Row, from_lines, to_lines
+from cgm_jax.storage.untrusted import UNREADABLE
 
 KEPT = 2
 DAMAGED = ".damaged"
@@ -203,23 +204,31 @@ def _filled(state: TrainingState) -> int:
 def _read(path: Path, like: TrainingState) -> TrainingProgress:
     """Read a checkpoint whose checksum is right, which does not mean that it is ours."""
     _check_shapes(path, like)
-    with np.load(path, allow_pickle=False) as file:
-        epoch, cycle = (int(number) for number in file["position"])
-        rows = _rows(path, bytes(file["rows"]))
-        if min(epoch, cycle) < 0:
-            raise _foreign(path)
-        leaves, structure = jax.tree.flatten(like)
-        names = [name for name, _ in named_leaves(like)]
-        restored = [
-            restore_leaf(file[name], leaf)
-            if name in file.files
-            else jnp.zeros(leaf.shape, leaf.dtype)  # nothing is unfinished
-            for name, leaf in zip(names, leaves, strict=True)
-        ]
-        state = jax.tree.unflatten(structure, restored)
-        runs = len(jax.tree.leaves(like)[0])
-        part = 0 if state.unfinished is None else int(state.unfinished.done[0])
-        return TrainingProgress(state, epoch, cycle, float(file["wall_s"]), rows, runs, part)
+    try:
+        with open_arrays(path) as arrays:
+            state = _restored(arrays, like)
+            epoch, cycle = (int(number) for number in arrays["position"])
+            rows, wall_s = _rows(path, bytes(arrays["rows"])), float(arrays["wall_s"])
+    except SettingError:
+        raise
+    except ValueError as error:
+        raise SettingError(f"resume: {error}") from None
+    if min(epoch, cycle) < 0:
+        raise _foreign(path)
+    runs = len(jax.tree.leaves(like)[0])
+    part = 0 if state.unfinished is None else int(state.unfinished.done[0])
+    return TrainingProgress(state, epoch, cycle, wall_s, rows, runs, part)
+
+
+def _restored(arrays: Mapping[str, np.ndarray], like: TrainingState) -> TrainingState:
+    """A training state from what is stored of it."""
+    leaves = [
+        restore_leaf(arrays[name], leaf)
+        if name in arrays
+        else jnp.zeros(leaf.shape, leaf.dtype)  # nothing is unfinished
+        for name, leaf in named_leaves(like)
+    ]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 
 def _check_shapes(path: Path, like: TrainingState) -> None:
@@ -258,7 +267,7 @@ def _check_shapes(path: Path, like: TrainingState) -> None:
 def _rows(path: Path, text: bytes) -> list[Row]:
     try:
         return from_lines(text.decode().splitlines())
-    except (ValueError, RecursionError):
+    except UNREADABLE:
         raise _foreign(path) from None
 
 

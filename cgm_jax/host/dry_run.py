@@ -18,6 +18,7 @@ from cgm_jax.host.jobs import Job
 from cgm_jax.loop.compiler import Compiler, wait_for
 from cgm_jax.storage.checkpoints import position
 from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.untrusted import UNREADABLE
 
 MEASURED_SECONDS = 2.0
 """For how long a program runs to be timed; at least one cycle."""
@@ -139,7 +140,7 @@ def _recorded_paces(jobs: Sequence[Job], directory: RunDirectory) -> dict[Key, P
     try:
         for row in directory.metrics():
             times.setdefault(row["run"], []).append(float(row["wall_s"]))
-    except (OSError, ValueError, KeyError, TypeError):  # damaged; checkpoints will restore it
+    except (OSError, *UNREADABLE):  # damaged; checkpoints will restore it
         return {}
     paces = {}
     for job in jobs:

@@ -20,12 +20,13 @@ from cgm_jax.host.checkpoint import named_leaves, restore_leaf, stored_like
 from cgm_jax.loop.normaliser import with_statistics
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs
-from cgm_jax.storage.arrays import read_arrays, read_shapes
+from cgm_jax.storage.arrays import open_arrays, read_arrays
 from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
 from cgm_jax.storage.config_file import read_groups
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.policies import MAX_POLICY_BYTES, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.untrusted import UNREADABLE
 
 TAKEN = (".agent", ".normaliser.observation", ".normaliser.goal")
 """Parts of a training state that another run's take the place of. The limit to which normalised
@@ -117,10 +118,9 @@ def _from_directory(path: Path, run: str | None) -> dict[str, np.ndarray]:
 def _leaves(checkpoint: Path, index: int) -> dict[str, np.ndarray]:
     """What a run has learned, of a checkpoint whose leaves have a leading axis of runs."""
     try:
-        shapes = read_shapes(checkpoint)
-        with np.load(checkpoint, allow_pickle=False) as file:
-            return {name: file[name][index] for name in shapes if name.startswith(TAKEN)}
-    except (ValueError, IndexError, OSError) as error:
+        with open_arrays(checkpoint) as arrays:
+            return {name: arrays[name][index] for name in arrays if name.startswith(TAKEN)}
+    except UNREADABLE as error:
         raise SettingError(f"from: {checkpoint} cannot be read: {error}") from None
 
 

@@ -12,6 +12,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import absolute
 from cgm_jax.launching.attempts import Order
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 FORMAT = 1
 LAUNCH = "launch.json"
@@ -138,7 +139,7 @@ def read_launch(path: Path) -> Launch:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
-        entry = json.loads(file.read_bytes())
+        entry = from_json(file.read_bytes())
         if entry["format"] != FORMAT:
             raise ValueError(f"its format is {entry['format']!r:.20}")
         return Launch(
@@ -151,7 +152,7 @@ def read_launch(path: Path) -> Launch:
         )
     except OSError:
         raise SettingError(f"resume: {path} holds no launch: {LAUNCH} is missing") from None
-    except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+    except UNREADABLE as error:
         text = str(error).partition("\n")[0]
         raise SettingError(f"{file} is damaged: {type(error).__name__}: {text}") from None
 

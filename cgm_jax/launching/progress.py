@@ -1,6 +1,5 @@
 """One line about all parts, read from their metrics.jsonl."""
 
-import json
 import os
 import statistics
 import sys
@@ -8,12 +7,13 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Self
+from typing import IO, Self
 
 from rich.live import Live
 from rich.text import Text
 
 from cgm_jax.host.progress import SteadyConsole
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 
 class Rows:
@@ -51,9 +51,9 @@ class Rows:
                 break
             self._read += len(line)
             try:
-                row: Any = json.loads(line)
+                row = from_json(line)
                 self.success[row["run"]] = row["success_rate"]
-            except (ValueError, KeyError, TypeError, RecursionError):
+            except UNREADABLE:
                 continue
             self.count += 1
 

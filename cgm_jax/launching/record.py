@@ -15,6 +15,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
+
 Event = dict[str, Any]
 
 MANIFEST = re.compile(
@@ -38,8 +40,8 @@ def events(record: Path) -> list[Event]:
         return []
     found = []
     for line in lines:
-        with contextlib.suppress(ValueError, RecursionError):
-            found.append(json.loads(line))
+        with contextlib.suppress(*UNREADABLE):
+            found.append(from_json(line))
     return [entry for entry in found if isinstance(entry, dict) and "event" in entry]
 
 

@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.shards import Shard
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.statistics import have_finished
-from cgm_jax.storage.arrays import read_shapes
+from cgm_jax.storage.arrays import open_arrays
 from cgm_jax.storage.checkpoints import (
     damage,
     finished_checkpoints,
@@ -31,10 +29,10 @@ from cgm_jax.storage.checkpoints import (
     position_of,
     write_manifest,
 )
-from cgm_jax.storage.config_file import UNREADABLE
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.metrics import Row, check_rows, from_lines
 from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.untrusted import UNREADABLE
 
 PROVENANCE = ("versions", "python", "commit", "device", "flags", "variables", "machine", "files")
 """Of these each part keeps its own, since parts may have been trained on several machines."""
@@ -131,11 +129,10 @@ def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece
     if (complaint := damage(last)) is not None:
         raise SettingError(f"{last} is damaged ({complaint}); {_resume(path)}")
     try:
-        read_shapes(last)  # for no more than there is in it
-        with np.load(last, allow_pickle=False) as file:
-            epoch, cycle = (int(number) for number in file["position"])
-            rows = from_lines(bytes(file["rows"]).decode().splitlines())
-    except (*UNREADABLE, OSError) as error:
+        with open_arrays(last) as arrays:
+            epoch, cycle = (int(number) for number in arrays["position"])
+            rows = from_lines(bytes(arrays["rows"]).decode().splitlines())
+    except UNREADABLE as error:
         raise SettingError(f"{last} is no checkpoint: {error}") from None
     names = [run["name"] for run in runs]
     try:

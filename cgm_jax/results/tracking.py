@@ -25,6 +25,7 @@ from cgm_jax.config.named import absolute, is_own, label, name_now
 from cgm_jax.results.trackers.protocol import Tracker
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.metrics import Row
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 SWEEP = "sweep"
 """What trackers call the run that shows the figures of all."""
@@ -194,15 +195,16 @@ def _read(path: Path, directory: Path) -> tuple[str, dict[str, int], set[str], d
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
-        kept = json.loads(path.read_bytes())
+        kept = from_json(path.read_bytes())
         sweep, closed = kept["sweep"], set(kept["closed"])
         sent, files = dict(kept["sent"]), dict(kept["files"])
-        whole = isinstance(sweep, str) and all(type(epoch) is int for epoch in sent.values())
+        whole = all(isinstance(text, str) for text in (sweep, *closed, *sent, *files))
+        whole = whole and all(type(epoch) is int for epoch in sent.values())
         if not whole or not 0 < len(sweep) < 300:
             raise ValueError("it holds something else than what was sent")
     except FileNotFoundError:
         return f"{directory.absolute().name}-{secrets.token_hex(4)}", {}, set(), {}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, *UNREADABLE) as error:
         raise SettingError(f"track: {path} is damaged: {type(error).__name__}: {error}") from None
     return sweep, sent, closed, files
 

@@ -1,7 +1,8 @@
 """Files of named arrays (npz), read as untrusted input."""
 
+import contextlib
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
@@ -45,11 +46,8 @@ def read_shapes(path: Path) -> dict[str, tuple[Shape, np.dtype[Any]]]:
         ValueError: the file cannot be read, holds pickled objects, or an array's size in the
             archive is not what its shape says.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return {_name(info): _read_header(archive, info) for info in archive.infolist()}
-    except Exception as error:
-        raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
+    with _naming(path), zipfile.ZipFile(path) as archive:
+        return {_name(info): _read_header(archive, info) for info in archive.infolist()}
 
 
 def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
@@ -66,9 +64,52 @@ def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
     total = sum(_bytes(*entry) for entry in shapes.values())
     if total > most_bytes:
         raise ValueError(f"{path} holds {total:,} bytes of arrays, more than {most_bytes:,}")
+    with open_arrays(path) as arrays:
+        return dict(arrays)
+
+
+@contextlib.contextmanager
+def open_arrays(path: Path) -> Iterator[Mapping[str, np.ndarray]]:
+    """The arrays of an npz file by name, each read whenever it is asked for. Never runs its code.
+
+    Raises:
+        ValueError: as `read_shapes`; in the block also if an array's bytes are damaged.
+    """
+    names = list(read_shapes(path))
+    with contextlib.ExitStack() as stack:
+        with _naming(path):
+            archive = stack.enter_context(zipfile.ZipFile(path))
+        yield _Arrays(path, archive, names)
+
+
+class _Arrays(Mapping[str, np.ndarray]):
+    """See `open_arrays`."""
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile, names: Sequence[str]) -> None:
+        self._path, self._archive, self._names = path, archive, names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._names:
+            raise KeyError(name)
+        with _naming(self._path), self._archive.open(name + SUFFIX) as member:
+            return np.lib.format.read_array(member, allow_pickle=False)
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Have whatever is wrong with a file's bytes name the file: there are many kinds of that.
+
+    Raises:
+        ValueError: anything was.
+    """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in shapes}
+        yield
     except Exception as error:
         raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
 

@@ -7,9 +7,11 @@ import hashlib
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 FORMAT = 3
 """Of checkpoints, in the manifest. Format 1 had no such entry; curriculum `uniform` had no state
@@ -87,10 +89,12 @@ def format_of(path: Path) -> int:
         SettingError: it is of a newer one.
     """
     try:
-        number = json.loads(manifest_path(path).read_bytes()).get("format", 1)
-    except (OSError, ValueError, AttributeError, RecursionError):
+        number = _manifest(path).get("format", 1)
+    except (OSError, *UNREADABLE):
         return FORMAT  # `damage` says what is wrong
-    if isinstance(number, int) and number > FORMAT:
+    if type(number) is not int:
+        return FORMAT
+    if number > FORMAT:
         raise SettingError(
             f"resume: {path} is a checkpoint of format {number!s:.20}, of a newer version of "
             f"cgm_jax; this one reads up to format {FORMAT}"
@@ -101,9 +105,9 @@ def format_of(path: Path) -> int:
 def damage(path: Path) -> str | None:
     """What is wrong with a checkpoint's bytes; None if they are those that were written."""
     try:
-        manifest = json.loads(manifest_path(path).read_bytes())
+        manifest = _manifest(path)
         expected, size, number = manifest["sha256"], manifest["bytes"], manifest.get("format", 1)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, *UNREADABLE):
         return "its manifest cannot be read"
     if type(number) is not int or not 1 <= number <= FORMAT:
         return f"its format is {number!r:.20}"
@@ -155,19 +159,24 @@ def holds_config(checkpoints: Path) -> bool:
     return any(_carried_config(path) for path in finished_checkpoints(checkpoints))
 
 
+def _manifest(path: Path) -> Any:
+    """What the manifest of a checkpoint holds; whatever is wrong with it raises."""
+    return from_json(manifest_path(path).read_bytes())
+
+
 def _holds_object(path: Path) -> bool:
     try:
-        return isinstance(json.loads(path.read_bytes()), dict)
-    except (OSError, ValueError, RecursionError):
+        return isinstance(from_json(path.read_bytes()), dict)
+    except (OSError, *UNREADABLE):
         return False
 
 
 def _carried_config(path: Path) -> bytes | None:
     """The config beside a checkpoint; None in those of versions that did not write one."""
     try:
-        manifest = json.loads(manifest_path(path).read_bytes())
+        manifest = _manifest(path)
         content = manifest["config"].encode()
         whole = hashlib.sha256(content).hexdigest() == manifest["config_sha256"]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, *UNREADABLE):
         return None
     return content if whole else None

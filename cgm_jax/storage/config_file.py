@@ -3,7 +3,6 @@
 It may come from anybody: whatever is wrong with it is one line, and nothing that it names is run.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,7 @@ from cgm_jax.config.named import is_own
 from cgm_jax.config.run_names import MAX_NAME
 from cgm_jax.storage.formats import upgraded
 from cgm_jax.storage.layout import START
-
-UNREADABLE = (KeyError, TypeError, AttributeError, ValueError, RecursionError)
-"""What reading a config raises whose values are of other types than they should be."""
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 MAX_CONFIG_BYTES = 2**28
 """Of a config with as many runs as a sweep may have."""
@@ -76,8 +73,8 @@ def read_config(path: Path) -> Any:
     try:
         if path.stat().st_size > MAX_CONFIG_BYTES:
             raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
+        return from_json(path.read_bytes())
+    except (OSError, *UNREADABLE) as error:
         raise damaged(path, error) from None
 
 
@@ -93,6 +90,9 @@ def _named_values(entry: Any) -> tuple[str, dict[str, Any]]:
     values = dict(entry)
     name = values.pop("name")
     check_name(name)
+    for kind in NAMES:
+        if not isinstance(values.get(kind, ""), str):
+            raise SettingError(f"{kind}: {values[kind]!r:.40} is not of type str")
     for key, value in values.items():
         if isinstance(value, list):  # JSON knows no tuples
             values[key] = tuple(value)

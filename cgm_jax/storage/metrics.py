@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cgm_jax.config.spelling import spelled
+from cgm_jax.storage.untrusted import from_json
 
 Row = dict[str, Any]
 """What metrics.jsonl says of one run and epoch, in plain values as JSON has them."""
@@ -42,7 +43,7 @@ def from_lines(lines: Iterable[str]) -> list[Row]:
         ValueError: a line is no JSON object.
         RecursionError: a line nests too deep.
     """
-    rows = [json.loads(line) for line in lines]
+    rows = [from_json(line) for line in lines]
     if not all(isinstance(row, dict) for row in rows):
         raise ValueError("a line is no object")
     return rows

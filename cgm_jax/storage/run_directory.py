@@ -17,7 +17,6 @@ symbolic link; and code that its config names runs only if the user has named it
 
 import contextlib
 import itertools
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +27,13 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Run
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun
-from cgm_jax.storage.config_file import UNREADABLE, damaged
+from cgm_jax.storage.config_file import damaged
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.layout import CONFIG, METRICS, START, TABLE, check_parts
 from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.sweep_config import SweepConfig
+from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class RunDirectory:
     def metrics(self) -> list[Row]:
         """All rows of metrics.jsonl, less one that a killed process left half written."""
         with (self.path / METRICS).open(encoding="utf-8") as file:
-            return [json.loads(line) for line in file if line.endswith("\n")]
+            return [from_json(line) for line in file if line.endswith("\n")]
 
     def former_metrics(self) -> dict[str, list[Row]]:
         """What can be read of metrics.jsonl, by run, each epoch once; nothing if it is not there.
@@ -140,7 +140,7 @@ class RunDirectory:
         path, found = self.path / METRICS, dict[tuple[str, int], Row]()
         for line in path.read_bytes().splitlines() if path.exists() else []:
             with contextlib.suppress(*UNREADABLE):
-                row = json.loads(line)
+                row = from_json(line)
                 check_row(row)
                 found[row["run"], row["epoch"]] = row
         rows: dict[str, list[Row]] = {}
@@ -180,8 +180,8 @@ class RunDirectory:
     def epochs_begun(self) -> int:
         """Epochs of the run that has come farthest, by checkpoints and by metrics."""
         try:
-            written = [int(row["epoch"]) for row in self.metrics()]
-        except (OSError, *UNREADABLE):  # checkpoints will restore them
+            written = [row["epoch"] for rows in self.former_metrics().values() for row in rows]
+        except OSError:  # checkpoints will restore them
             written = []
         return max([epochs_begun(self.path / "checkpoints"), *written])
 

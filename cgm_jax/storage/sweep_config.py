@@ -19,7 +19,6 @@ from cgm_jax.config.named import absolute, is_own, require_named
 from cgm_jax.config.shards import Shard
 from cgm_jax.storage.checkpoints import holds_config, restore_config
 from cgm_jax.storage.config_file import (
-    UNREADABLE,
     attribute_of,
     check_name,
     damaged,
@@ -33,6 +32,7 @@ from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.layout import CONFIG, check_parts
 from cgm_jax.storage.provenance import changes, moved_path, provenance
+from cgm_jax.storage.untrusted import UNREADABLE
 
 
 @dataclass(frozen=True)

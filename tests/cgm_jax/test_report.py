@@ -68,6 +68,12 @@ def _beyond_floats(path: Path) -> None:
     (path / "metrics.jsonl").write_text(json.dumps(row) + "\n")
 
 
+def _nested(path: Path) -> None:
+    config = json.loads((path / "config.json").read_text()) | {"x": 0}
+    nested = json.dumps(config).replace('"x": 0', f'"x": {"[" * 600}{"]" * 600}')
+    (path / "config.json").write_text(nested)
+
+
 def _no_json(path: Path) -> None:
     (path / "metrics.jsonl").write_text("epoch 1\n")
 
@@ -95,6 +101,7 @@ def _link(path: Path) -> None:
         (_words, "success_rate: 'much'"),
         (_more_than_all, "success_rate: 1.5"),
         (_beyond_floats, "env_steps: 1000"),
+        (_nested, "config.json is damaged: RecursionError"),
         (_no_json, "metrics.jsonl is damaged"),
         (_empty, "no finished epoch yet; try --follow"),
         (_link, "symbolic link"),

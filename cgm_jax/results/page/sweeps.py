@@ -10,10 +10,10 @@ from typing import Any, TypeGuard
 from cgm_jax.config.fields import SettingError
 from cgm_jax.results.figures.runs import TrainedRun, grouped, runs_of
 from cgm_jax.results.statistics import holds
-from cgm_jax.storage.config_file import UNREADABLE
 from cgm_jax.storage.layout import METRICS
 from cgm_jax.storage.metrics import Row, check_row, plain_row
 from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.untrusted import UNREADABLE
 
 Values = Mapping[str, Any]
 

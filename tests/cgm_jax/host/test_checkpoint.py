@@ -13,10 +13,16 @@ import pytest
 
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.host import checkpoint
-from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
+from cgm_jax.host.checkpoint import (
+    TrainingProgress,
+    check_last_checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+)
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
 from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoints, position
+from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
@@ -207,6 +213,29 @@ def test_a_format_that_is_no_number_of_one_is_damage(
     standing, (note,) = load(tmp_path)
     assert standing.epoch == 1
     assert f"is damaged (its format is {number!r})" in note
+
+
+@pytest.mark.parametrize("number", ["x", True, [2]])
+def test_a_foreign_checkpoint_whose_format_is_no_number_is_damage(
+    number: Any, tmp_path: Path, state: TrainingState
+) -> None:
+    renumber(save(tmp_path, state, epoch=1), number)
+    other = jax.eval_shape(PROGRAMS.start, stack([tiny(seed=0)]))
+    check_last_checkpoint(tmp_path, 0, other)
+    training, (note,) = load_checkpoint(tmp_path, 0, other)
+    assert training is None
+    assert f"is damaged (its format is {number!r})" in note
+
+
+def test_damaged_bytes_under_the_right_checksum_are_refused(
+    tmp_path: Path, state: TrainingState
+) -> None:
+    path = save(tmp_path, state, epoch=1)
+    spoil(path)
+    check_last_checkpoint(tmp_path, 0, LIKE)  # which reads no arrays
+    line = rf"^resume: {path} is no file of arrays \(Bad CRC-32 for file .*\)$"
+    with pytest.raises(SettingError, match=line):
+        load(tmp_path)
 
 
 def forge(path: Path, name: str, content: bytes) -> None:

@@ -10,6 +10,7 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host import dry_run
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.host.in_process import OPTIONS, train
 from tests.cgm_jax.sweeps import POINT_MASS, rows
 
@@ -57,3 +58,11 @@ def test_a_dry_run_of_a_begun_sweep_takes_its_recorded_pace(
     with pytest.raises(SettingError, match=r"^epochs: 3 are fewer"):
         sweep.main(["--resume", str(out), "--epochs", "3", "--dry-run"])
     assert files(out) == before
+
+
+@pytest.mark.parametrize(
+    "line", ["[" * 10**5, "5", '{"run": []}', '{"run": "a", "wall_s": 1' + "0" * 400 + "}"]
+)
+def test_metrics_that_cannot_be_read_record_no_pace(line: str, tmp_path: Path) -> None:
+    (tmp_path / "metrics.jsonl").write_text(f"{line}\n")
+    assert dry_run._recorded_paces([], RunDirectory(tmp_path)) == {}

@@ -141,6 +141,47 @@ def test_what_is_wrong_with_a_file_is_one_line(
         groups_of(*words, "--config", written(tmp_path / name, text))
 
 
+@pytest.mark.parametrize("value", [{}, 5, ["x"], [["x"]], None, True, [[[0]]]])
+@pytest.mark.parametrize("name", ["env", "curriculum", "relabelling"])
+@pytest.mark.parametrize("words", [[], ["--kappa", "4"]])
+def test_a_config_json_whose_names_are_none_is_refused(
+    name: str, value: Any, words: list[str], tmp_path: Path
+) -> None:
+    (group,) = build_groups("smoke", {"kappa": [4.0]})
+    run = {"name": "a", **group.runs[0].values, name: value}
+    config = {"format": 2, "groups": [{"runs": [run]}]}
+    written(tmp_path / "config.json", json.dumps(config))
+    with pytest.raises(
+        SettingError, match=rf"^config: .*config.json is damaged: {name}: .* not of"
+    ):
+        groups_of("--config", str(tmp_path), *words)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"hidden_layers": {}},
+        {"hidden_layers": [["x"]]},
+        {"epochs": [1]},
+        {"seed": {"a": 1}},
+        {"seed": 10**400},
+        {"c_g": 10**400},
+        {"c_g": "x"},
+        {"batch_size": None},
+        {"her": [[]]},
+    ],
+)
+@pytest.mark.parametrize("words", [[], ["--kappa", "4"]])
+def test_a_config_json_with_values_of_other_types_is_refused(
+    change: dict[str, Any], words: list[str], tmp_path: Path
+) -> None:
+    (group,) = build_groups("smoke", {"kappa": [4.0]})
+    config = {"format": 2, "groups": [{"runs": [{"name": "a", **group.runs[0].values, **change}]}]}
+    file = written(tmp_path / "config.json", json.dumps(config))
+    with pytest.raises(SettingError):
+        groups_of("--config", file, *words)
+
+
 @pytest.mark.parametrize("name", ["nowhere.toml", "nowhere.json"])
 def test_a_file_that_is_not_there_is_named(name: str, tmp_path: Path) -> None:
     with pytest.raises(SettingError, match=rf"^config: .*{name}"):

@@ -5,6 +5,7 @@
 
 import dataclasses
 import functools
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,11 @@ from cgm_jax.host.warm_start import check_start, read_source, start_from
 from cgm_jax.loop.normaliser import observe
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
 from cgm_jax.replay.ring import Episodes
+from cgm_jax.storage.arrays import write_arrays
+from cgm_jax.storage.checkpoints import write_manifest
 from cgm_jax.storage.policies import policy_arrays
 from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
 
@@ -205,3 +209,18 @@ def test_masks_that_a_policy_sees_are_taken_over() -> None:
     kernel = start_from(policy, programs, hyper, fresh).agent.actor["params"]["layer_0"]["kernel"]
     np.testing.assert_array_equal(kernel[0, :6], policy["layer_0_kernel"])
     np.testing.assert_array_equal(kernel[0, 6:], policy["mask_weights"])
+
+
+def test_a_checkpoint_with_damaged_bytes_under_the_right_checksum_is_refused(
+    directory: tuple[Path, Any],
+) -> None:
+    path, _ = directory
+    (checkpoint,) = (path / "checkpoints").glob("*.npz")
+    with checkpoint.open("wb") as file:
+        write_arrays(file, [(".agent.actor", np.ones((2, 5000)))])
+    data = checkpoint.read_bytes()
+    write_manifest(checkpoint, hashlib.sha256(data).hexdigest(), len(data), b"{}")
+    assert read_source(path, SECOND)[".agent.actor"].shape == (5000,)
+    spoil(checkpoint)
+    with pytest.raises(SettingError, match=rf"^from: {checkpoint} cannot be read: .*Bad CRC-32"):
+        read_source(path, SECOND)

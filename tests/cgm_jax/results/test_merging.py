@@ -22,6 +22,7 @@ from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import damage, finished_checkpoints, write_manifest
 from cgm_jax.storage.metrics import Row, to_lines
 from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.results.figures import made
 from tests.cgm_jax.sweeps import rows
 
@@ -219,6 +220,22 @@ def test_forged_checkpoints_are_refused(
     data = last.read_bytes()
     write_manifest(last, hashlib.sha256(data).hexdigest(), len(data), b"{}")
     assert f"{last} {line}" in refused(tmp_path, *parts, "--out", tmp_path / "out")
+
+
+def test_a_checkpoint_with_damaged_bytes_under_the_right_checksum_is_refused(
+    parts: list[Path], tmp_path: Path
+) -> None:
+    (last,) = finished_checkpoints(parts[0] / "checkpoints")
+    with np.load(last) as file:
+        arrays = {**file, "rows": np.zeros(10_000, np.uint8)}
+    with last.open("wb") as file:
+        write_arrays(file, arrays.items())
+    data = last.read_bytes()
+    write_manifest(last, hashlib.sha256(data).hexdigest(), len(data), b"{}")
+    spoil(last, "rows")
+    assert damage(last) is None
+    line = refused(tmp_path, *parts, "--out", tmp_path / "out")
+    assert f"{last} is no file of arrays (Bad CRC-32" in line
 
 
 def test_what_is_no_archive_and_what_claims_terabytes_are_refused(

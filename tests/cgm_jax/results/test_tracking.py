@@ -247,7 +247,12 @@ def test_what_cannot_track_is_refused_before_anything_is_made(
 
 @pytest.mark.parametrize(
     "record",
-    ["", "[]", "{}", '{"sweep": "a", "sent": {"b": "1"}, "closed": [], "files": {}}', "[" * 10**5],
+    [
+        *("", "[]", "{}", "[" * 10**5),
+        '{"sweep": "a", "sent": {"b": "1"}, "closed": [], "files": {}}',
+        '{"sweep": "a", "sent": {}, "closed": [1, "a"], "files": {}}',
+        '{"sweep": "a", "sent": [[1, 2]], "closed": [], "files": {}}',
+    ],
 )
 def test_a_damaged_record_is_refused(record: str, tmp_path: Path) -> None:
     path = tmp_path / f"{FOLDER}.json"

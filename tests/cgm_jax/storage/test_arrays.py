@@ -1,11 +1,14 @@
 """Arrays are written to npz files as numpy writes them, also row by row."""
 
 import io
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cgm_jax.storage.arrays import write_arrays
+from cgm_jax.storage.arrays import open_arrays, read_arrays, write_arrays
+from tests.cgm_jax.archives import spoil
 
 
 @pytest.mark.parametrize(
@@ -20,3 +23,29 @@ def test_an_array_by_its_rows_is_written_as_numpy_writes_the_whole(array: np.nda
     np.testing.assert_array_equal(read, array)
     assert read.dtype == array.dtype
     assert by_rows.getbuffer().nbytes == whole.getbuffer().nbytes
+
+
+def test_arrays_are_read_by_their_names(tmp_path: Path) -> None:
+    whole = {"a": np.arange(6000.0).reshape(2, -1), "b.c": np.array(True)}
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, **whole)
+    with open_arrays(path) as arrays:
+        assert list(arrays) == ["a", "b.c"]
+        for name, array in whole.items():
+            np.testing.assert_array_equal(arrays[name], array)
+            assert arrays[name].dtype == array.dtype
+        with pytest.raises(KeyError, match="b"):
+            arrays["b"]
+
+
+@pytest.mark.parametrize(
+    "kind", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA]
+)
+def test_damaged_bytes_are_told_by_the_name_of_their_file(kind: int, tmp_path: Path) -> None:
+    path, member = tmp_path / "a.npz", io.BytesIO()
+    np.save(member, np.random.default_rng(0).integers(0, 9, 9000))
+    with zipfile.ZipFile(path, "w", kind) as archive:
+        archive.writestr("a.npy", member.getvalue())
+    spoil(path)
+    with pytest.raises(ValueError, match=rf"^{path} is no file of arrays \(.+\)$"):
+        read_arrays(path, 10**6)

@@ -241,6 +241,7 @@ CONFIGS = {
     '{"format": 2, "groups": [{"runs": [{"name": "a"}, {"name": "a"}]}]}': "name of its own",
     "[" * 100_000: "RecursionError",
     '{"format": 2, "groups": ' + "[" * 900 + "]" * 900 + "}": "Error",
+    '{"x": ' + "[" * 400 + "]" * 400 + "}": "RecursionError",
     "9" * 5000: "ValueError",
     "\xff": "Error",
 }
@@ -277,3 +278,12 @@ def test_of_damaged_metrics_what_can_be_read_counts_once(tmp_path: Path) -> None
     (tmp_path / "metrics.jsonl").write_bytes(b"\xff\x00{\n" + "\n".join(lines).encode())
     found = RunDirectory(tmp_path).former_metrics()
     assert found == {"a": [again, kept[2]], "b": [kept[1], kept[3]]}
+
+
+def test_epochs_that_are_no_numbers_do_not_count(tmp_path: Path) -> None:
+    row = {"run": "a", "success_rate": 0.5, "physics_warnings": 0}
+    row |= {"failed_epoch": None, "failure": None}
+    epochs = [3, float("inf"), float("nan"), "9", None, True]
+    lines = [json.dumps({**row, "epoch": epoch}) for epoch in epochs]
+    (tmp_path / "metrics.jsonl").write_text("\n".join(lines))
+    assert RunDirectory(tmp_path).epochs_begun() == 3
