@@ -20,7 +20,7 @@ from cgm_jax.config.named import is_own, require_named
 from cgm_jax.config.presets import PRESETS, Grid
 from cgm_jax.config.spelling import value_of
 from cgm_jax.storage.config_file import read_groups, start_beside
-from cgm_jax.storage.layout import CONFIG
+from cgm_jax.storage.layout import CONFIG, check_parts
 
 MAX_BYTES = 2**20
 """Of a settings.toml."""
@@ -66,10 +66,12 @@ def read_settings_file(path: Path) -> SettingsFile:
         path: a .toml file, a .json file, or a run directory, whose config.json counts.
 
     Raises:
-        SettingError: it cannot be read, or holds something else than settings.
+        SettingError: it cannot be read, holds something else than settings, or is in a directory
+            of which a part leads elsewhere.
     """
     try:
         if path.is_dir():
+            check_parts(path)
             path = path / CONFIG
         if path.suffix == ".json":
             runs = {name: values for group in read_groups(path) for name, values in group.items()}

@@ -12,6 +12,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import absolute
 from cgm_jax.launching.attempts import Order
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.layout import check_parts
 from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 FORMAT = 1
@@ -133,8 +134,9 @@ def read_launch(path: Path) -> Launch:
     """What was launched in a directory, which may come from anybody.
 
     Raises:
-        SettingError: nothing was, or it cannot be read.
+        SettingError: nothing was, it cannot be read, or a part of the directory leads elsewhere.
     """
+    check_parts(path)
     file = path / LAUNCH
     try:
         if file.stat().st_size > MAX_BYTES:

@@ -3,6 +3,7 @@
 It may come from anybody: whatever is wrong with it is one line, and nothing that it names is run.
 """
 
+import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -68,10 +69,13 @@ def read_config(path: Path) -> Any:
     """What a config.json holds, unchecked.
 
     Raises:
-        SettingError: it cannot be read, is too large, or is no JSON.
+        SettingError: it cannot be read, is no ordinary file or too large, or is no JSON.
     """
     try:
-        if path.stat().st_size > MAX_CONFIG_BYTES:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # to read a pipe may take forever
+            raise ValueError("it is no ordinary file")
+        if status.st_size > MAX_CONFIG_BYTES:
             raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
         return from_json(path.read_bytes())
     except (OSError, *UNREADABLE) as error:

@@ -2,6 +2,7 @@
 
 import base64
 import os
+import stat
 import sys
 from collections.abc import Iterator
 from html import escape
@@ -32,13 +33,20 @@ def video_figures(path: Path, label: str) -> str:
 
 
 def _videos(path: Path) -> Iterator[Path]:
-    """Regular files only: a link in a directory from elsewhere leads anywhere."""
+    """Regular files only: a link in a directory from elsewhere leads anywhere, a pipe to no end."""
     for folder, folders, files in os.walk(path):
         folders.sort()
         for name in sorted(files):
             file = Path(folder) / name
-            if file.suffix.lower() in KINDS and not file.is_symlink():
+            if file.suffix.lower() in KINDS and _is_regular(file):
                 yield file
+
+
+def _is_regular(file: Path) -> bool:
+    try:
+        return stat.S_ISREG(file.lstat().st_mode)
+    except OSError:  # it has gone meanwhile
+        return False
 
 
 def _figure(file: Path, caption: str) -> str:

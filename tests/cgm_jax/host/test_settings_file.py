@@ -1,6 +1,7 @@
 """Settings from files, with options before them."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,20 @@ def test_what_is_wrong_with_a_file_is_one_line(
     words = [] if name == "config.json" or "preset" in text else ["--preset", "smoke"]
     with pytest.raises(SettingError, match=f"^{message}"):
         groups_of(*words, "--config", written(tmp_path / name, text))
+
+
+def test_neither_pipes_nor_links_of_a_run_directory_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "config.json")
+    for path in (tmp_path, tmp_path / "config.json"):
+        with pytest.raises(SettingError, match=r"config.json is .*no ordinary file"):
+            groups_of("--config", str(path))
+    (tmp_path / "config.json").unlink()
+    (group,) = build_groups("smoke", {"kappa": [4.0]})
+    config = {"groups": [{"runs": [{"name": "a", **group.runs[0].values}]}], "from": "x"}
+    written(tmp_path / "config.json", json.dumps({"format": 2, **config}))
+    (tmp_path / "start.npz").symlink_to(tmp_path / "config.json")
+    with pytest.raises(SettingError, match=r"^config: .*start.npz is a symbolic link"):
+        groups_of("--config", str(tmp_path))
 
 
 @pytest.mark.parametrize("value", [{}, 5, ["x"], [["x"]], None, True, [[[0]]]])

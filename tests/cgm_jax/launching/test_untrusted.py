@@ -1,6 +1,7 @@
 """What a directory of a launch may hold that comes from somebody else."""
 
 import json
+import os
 import shutil
 import stat
 from pathlib import Path
@@ -162,6 +163,14 @@ def test_jobs_of_slurm_unpickle_nothing_that_lay_in_the_directory_before(
         assert place.parent == launch.path / "slurm"
         assert stat.S_IMODE(place.stat().st_mode) == 0o700
         assert not list(place.iterdir())
+
+
+def test_a_pipe_in_place_of_a_launch_is_not_read(folder: Path, planned: list[Launch]) -> None:
+    (folder / "out").mkdir()
+    os.mkfifo(folder / "out" / "launch.json")
+    with pytest.raises(SettingError, match=r"launch.json is no ordinary file"):
+        program.main(["--resume", "out"])
+    assert not planned
 
 
 ROWS = {

@@ -1,5 +1,6 @@
 import hashlib
 import json
+import os
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -70,6 +71,7 @@ def test_videos_are_in_the_page_and_links_are_not(
     (path / "videos").mkdir()
     (path / "videos/best.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42")
     (path / "secret.gif").symlink_to(tmp_path / "elsewhere.gif")
+    os.mkfifo(path / "endless.gif")
     with (path / "huge.mp4").open("wb") as file:
         file.truncate(MAX_BYTES + 1)
     (video,) = Tags(page_text([read_sweep(path)])).named("video")
