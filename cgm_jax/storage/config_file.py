@@ -82,11 +82,17 @@ def read_config(path: Path) -> Any:
         raise damaged(path, error) from None
 
 
+class DamagedError(SettingError):
+    """A file cannot be used; the line names it."""
+
+
 def damaged(path: Path, error: Exception) -> SettingError:
-    """The line that says why a file cannot be used."""
+    """The line that says why a file cannot be used; one that was said already stays as it is."""
+    if isinstance(error, DamagedError):
+        return error
     kind = "" if isinstance(error, SettingError) else f"{type(error).__name__}: "
     text = str(error).partition("\n")[0]
-    return SettingError(f"{path} is damaged: {kind}{text}")
+    return DamagedError(f"{path} is damaged: {kind}{text}")
 
 
 def _named_values(entry: Any) -> tuple[str, dict[str, Any]]:

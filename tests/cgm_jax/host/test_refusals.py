@@ -133,8 +133,31 @@ def test_sweeps_that_compare_numbers_of_epochs_are_not_trained_for_longer(tmp_pa
 )
 def test_a_damaged_config_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(text)
-    with pytest.raises(SettingError, match=complaint):
-        sweep.main(["--resume", str(tmp_path)])
+    for option in ("--resume", "--config"):
+        with pytest.raises(SettingError, match=complaint) as refused:
+            sweep.main([option, str(tmp_path)])
+        assert str(refused.value).count("is damaged") == 1
+
+
+def test_without_a_config_or_a_checkpoint_to_restore_it_from_a_directory_is_refused(
+    whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    shutil.rmtree(out / "checkpoints")
+    config = out / "config.json"
+    config.write_bytes(config.read_bytes()[:100])
+    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    with pytest.raises(
+        SettingError, match=f"^{config} is damaged: JSONDecodeError: [^:]*: "
+    ) as one:
+        train(out)
+    assert str(one.value).count("is damaged") == 1
+    config.unlink()
+    with pytest.raises(SettingError, match=f"^out: {out} already holds a sweep; name another"):
+        train(out)
+    after = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    assert {one for one in before if after.get(one) != before[one]} <= {config, out / "holder"}
 
 
 @pytest.mark.parametrize(("field", "value"), [("epochs", "4"), ("batch_size", 1.5), ("env", None)])
