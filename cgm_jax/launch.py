@@ -32,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fresh = launch.path == Path() or not (launch.path / LAUNCH).exists()
     engine = _engine(launch)
     if fresh:
+        if launch.path != Path():
+            RunDirectory(launch.path).check_fresh()  # which the rest takes minutes to come to
         engine.check()
         check_sweep(launch.sweep, engine.variables_here())
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.

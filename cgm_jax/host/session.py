@@ -196,6 +196,7 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
         check_unchanged(out, recorded, asked.chosen)
         return extended(directory, recorded, asked.chosen)
     if not directory.holds_sweep():
+        directory.check_fresh()
         return None
     if (before := read_origin(directory.path / CONFIG)) != asked.origin:
         now, then = asked.origin or "nothing", before or "nothing"

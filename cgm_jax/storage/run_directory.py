@@ -56,6 +56,9 @@ class RunDirectory:
             InUseError: another process has it.
         """
         check_parts(path)
+        directory = cls(path)
+        if fresh:
+            directory.check_fresh()
         with contextlib.ExitStack() as stack:
             try:
                 for part in ("policies/improvements", "figures", "checkpoints"):
@@ -63,9 +66,9 @@ class RunDirectory:
                 stack.enter_context(locked(path))
             except OSError as error:
                 raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
-            if fresh and any((path / name).exists() for name in (CONFIG, METRICS)):
-                raise SettingError(f"out: {path} already holds a sweep; name another directory")
-            yield cls(path)
+            if fresh:  # also of a process that had the lock until now
+                directory.check_fresh()
+            yield directory
 
     @classmethod
     def open(cls, path: Path) -> "RunDirectory":
@@ -85,6 +88,19 @@ class RunDirectory:
             return (self.path / CONFIG).is_file()
         except OSError:  # such as a name that is too long
             return False
+
+    def check_fresh(self) -> None:
+        """Check that no sweep has been begun here, whatever is left of it.
+
+        Raises:
+            SettingError: one has.
+        """
+        try:
+            held = any((self.path / name).exists() for name in (CONFIG, METRICS))
+        except OSError:  # such as a name that is too long, as making the directory will say
+            return
+        if held:
+            raise SettingError(f"out: {self.path} already holds a sweep; name another directory")
 
     @property
     def config(self) -> SweepConfig:

@@ -163,6 +163,22 @@ def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
     assert program.main(["--jobs", "6", "--out", "out", *words]) == 0  # the same command again
 
 
+@pytest.mark.parametrize("name", ["config.json", "metrics.jsonl"])
+def test_a_sweeps_directory_is_refused_before_the_sweep_is_checked(
+    name: str, folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(program, "check_sweep", lambda *_: pytest.fail("it was checked"))
+    (folder / "out").mkdir()
+    (folder / "out" / name).write_text("theirs")
+    with pytest.raises(SettingError, match=r"^out: .*/out already holds a sweep; name another"):
+        program.main(["--jobs", "2", "--out", "out", *SMOKE])
+    assert [path.name for path in (folder / "out").iterdir()] == [name]
+    assert not planned
+    (folder / name).write_text("theirs")  # without --out the working directory may hold anything
+    monkeypatch.setattr(program, "check_sweep", lambda *_: None)
+    assert program.main(["--jobs", "2", *SMOKE]) == 0
+
+
 def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:
     (folder / "out").mkdir()
     with locked(folder / "out"), pytest.raises(InUseError):

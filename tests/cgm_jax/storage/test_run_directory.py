@@ -1,9 +1,11 @@
+import contextlib
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
-from cgm_jax.storage import provenance
+from cgm_jax.storage import provenance, run_directory
 from cgm_jax.storage.files import PARTIAL, replacing
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
@@ -287,3 +289,31 @@ def test_epochs_that_are_no_numbers_do_not_count(tmp_path: Path) -> None:
     lines = [json.dumps({**row, "epoch": epoch}) for epoch in epochs]
     (tmp_path / "metrics.jsonl").write_text("\n".join(lines))
     assert RunDirectory(tmp_path).epochs_begun() == 3
+
+
+@pytest.mark.parametrize("name", [CONFIG, "metrics.jsonl"])
+def test_a_directory_that_is_refused_is_left_as_it_was(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("theirs")
+    with (
+        pytest.raises(SettingError, match=f"^out: {tmp_path} already holds a sweep; name another"),
+        RunDirectory.claimed(tmp_path, fresh=True),
+    ):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "theirs"
+
+
+def test_what_another_process_has_begun_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextlib.contextmanager
+    def locked(path: Path) -> Iterator[None]:
+        (path / CONFIG).write_text("theirs")
+        yield
+
+    monkeypatch.setattr(run_directory, "locked", locked)
+    with (
+        pytest.raises(SettingError, match=f"^out: {tmp_path} already holds a sweep; name another"),
+        RunDirectory.claimed(tmp_path, fresh=True),
+    ):
+        pass
