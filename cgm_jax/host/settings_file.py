@@ -9,6 +9,7 @@
 Both may come from anybody: code that they name runs only as config/named.py says.
 """
 
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -123,11 +124,23 @@ def _settings(path: Path, entries: Mapping[str, Any]) -> SettingsFile:
     if "seeds" in grid:
         if "seed" in grid:
             raise SettingError(f"seeds: {path} holds seed as well")
-        (count,) = grid.pop("seeds")[:1] or [None]
-        if type(count) is not int or not 1 <= count <= 10**6:
-            raise SettingError(f"seeds: {count!r} in {path} is no number within [1, 1000000]")
-        grid["seed"] = list(range(count))
+        grid["seed"] = list(range(_seeds(path, grid.pop("seeds"))))
     return SettingsFile(preset, grid)
+
+
+def _seeds(path: Path, counts: Sequence[Any]) -> int:
+    """How many seeds a file asks for.
+
+    Raises:
+        SettingError: it is not one number, or out of its range.
+    """
+    if len(counts) != 1:
+        said = f"{path} gives {len(counts)} values, not how many seeds"
+        raise SettingError(f"seeds: {said}; seed = [...] says which")
+    (count,) = counts
+    if type(count) is not int or not 1 <= count <= 10**6:
+        raise SettingError(f"seeds: {count!r} in {path} is no number within [1, 1000000]")
+    return count
 
 
 def _several(item: "Field[Any]", values: Sequence[Any]) -> Sequence[Any]:
@@ -143,4 +156,5 @@ def _typed(item: "Field[Any]", value: Any) -> Any:
     if isinstance(value, str) and not isinstance(item.default, str):
         return value_of(item, value)
     is_real = item.default is None or isinstance(item.default, float)
-    return float(value) if is_real and type(value) is int else value
+    fits = type(value) is int and abs(value) <= sys.float_info.max
+    return float(value) if is_real and fits else value

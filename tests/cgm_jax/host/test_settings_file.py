@@ -116,6 +116,15 @@ def test_code_that_a_config_json_names_runs_only_if_the_user_has_named_it(tmp_pa
         ("a.toml", "c_g = 0.1\nc-g = 0.2", "config: .*a.toml holds c_g twice"),
         ("a.toml", 'preset = "huge"', "preset: unknown preset 'huge' in .*a.toml; choose from "),
         ("a.toml", "seeds = 0", "seeds: 0 in .*a.toml is no number within"),
+        (
+            "a.toml",
+            "seeds = [3, 5]",
+            "seeds: .*a.toml gives 2 values, not how many seeds; seed = ",
+        ),
+        ("a.toml", "seeds = []", "seeds: .*a.toml gives 0 values"),
+        ("a.toml", "seeds = [0]", "seeds: 0 in .*a.toml is no number within"),
+        ("a.toml", "seeds = true", "seeds: True in .*a.toml is no number within"),
+        ("a.toml", f"c_g = 1{'0' * 400}", r"c_g: 10* is not within \[0, 1\]"),
         ("a.toml", "seeds = 2\nseed = 1", "seeds: .*a.toml holds seed as well"),
         ("a.toml", "c_g = 3", r"c_g: 3.0 is not within \[0, 1\]"),
         ("a.toml", 'c_g = "much"', "c_g: 'much' is not of type float"),
@@ -195,6 +204,13 @@ def test_a_config_json_with_values_of_other_types_is_refused(
     file = written(tmp_path / "config.json", json.dumps(config))
     with pytest.raises(SettingError):
         groups_of("--config", file, *words)
+
+
+@pytest.mark.parametrize("text", ["seeds = 3", "seeds = [3]"])
+def test_seeds_are_as_many_as_a_file_says(text: str, tmp_path: Path) -> None:
+    file = written(tmp_path / "a.toml", f"{text}\nkappa = 4")
+    (group,) = groups_of("--preset", "smoke", "--config", file)
+    assert [run.values["seed"] for run in group.runs] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("name", ["nowhere.toml", "nowhere.json"])
