@@ -22,11 +22,11 @@ def from_json(text: str | bytes) -> Any:
         RecursionError: it nests too deep.
     """
     value = json.loads(text)
-    level = _nested([value])  # without recursion, which is what there may be too much of
-    for _ in range(MAX_DEPTH):
+    level, depth = _nested([value]), 0  # without recursion, which there may be too much of
+    while level:
+        if (depth := depth + 1) > MAX_DEPTH:
+            raise RecursionError(f"more than {MAX_DEPTH} lists and objects within each other")
         level = [inner for outer in level for inner in _nested(outer)]
-    if level:
-        raise RecursionError(f"more than {MAX_DEPTH} lists and objects within each other")
     return value
 
 
