@@ -17,12 +17,21 @@ from experiments.learning import report_tables, report_values
 from experiments.learning.plans import read_plans
 from experiments.learning.records import recorded_runs
 from experiments.markdown import Table, markdown
+from experiments.other_programs import report_tables as other_programs
 from experiments.physics import report_tables as physics
 
 README = Path(__file__).parent / "README.md"
 SCREENS_OF_QUESTIONS = Path(__file__).parent / "screens"
-TABLES: Mapping[str, Callable[..., Table]] = {**report_tables.TABLES, **physics.TABLES}
-VALUES: Mapping[str, Callable[..., str]] = {**report_values.VALUES, **physics.VALUES}
+TABLES: Mapping[str, Callable[..., Table]] = {
+    **report_tables.TABLES,
+    **physics.TABLES,
+    **other_programs.TABLES,
+}
+VALUES: Mapping[str, Callable[..., str]] = {
+    **report_values.VALUES,
+    **physics.VALUES,
+    **other_programs.VALUES,
+}
 
 TABLE = re.compile(r"^<!-- table: (.+?) -->\n.*?^<!-- end -->$", re.DOTALL | re.MULTILINE)
 VALUE = re.compile(r"<!-- value: (.+?) -->.*?<!-- end -->", re.DOTALL)

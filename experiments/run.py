@@ -96,9 +96,7 @@ def _save(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    """Train and draw the questions named on the command line."""
-    plans = read_plans()
+def _parser(plans: Plans) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments.run")
     parser.add_argument("questions", nargs="*", metavar="QUESTION", help=", ".join(plans.questions))
     mode = parser.add_mutually_exclusive_group()
@@ -122,6 +120,13 @@ def main() -> None:
         metavar="N",
         help="train N sweeps at a time, each on its share of the cores",
     )
+    return parser
+
+
+def main() -> None:
+    """Train and draw the questions named on the command line."""
+    plans = read_plans()
+    parser = _parser(plans)
     options = parser.parse_args()
     if unknown := [name for name in options.questions if name not in plans.questions]:
         parser.error(f"there is no question {unknown[0]!r}; there are {', '.join(plans.questions)}")

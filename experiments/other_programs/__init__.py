@@ -6,5 +6,5 @@ sb3_run.py            one run of Stable-Baselines3; its requirements are sb3-req
 our_run.py            one run of this program
 runs.py               which runs are on record, and where
 curve.py              what every run writes: success by environment steps and CPU seconds
-figure.py             the figure, from those
+figure.py             the figure, from those; report_tables.py the table of the report
 """

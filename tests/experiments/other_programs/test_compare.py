@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.lock import InUseError, locked
-from experiments.other_programs import compare, figure, our_run
+from experiments.other_programs import compare, figure, our_run, report_tables
 from experiments.other_programs.arms import ARMS, NAMES, OURS
 from experiments.table import read_table, write_table
 
@@ -181,3 +181,26 @@ def test_a_run_of_ours_ends_after_the_evaluation_that_finds_its_seconds_used_up(
     assert row["env_steps"] == "20000"
     assert float(row["cpu_s"]) > 1
     assert 0 <= float(row["success_rate"]) <= 1
+
+
+def test_the_table_says_when_90_percent_was_held(tmp_path: Path) -> None:
+    (tmp_path / "curves").mkdir()
+    rates = {"cgm_jax-push-0": (0.0, 0.86, 0.9, 0.96), "sb3_sac-push-0": (0.0, 0.0, 0.04, 0.02)}
+    for name, of_run in rates.items():
+        rows = [
+            {"env_steps": 20000 * i, "cpu_s": 10.4 * i, "success_rate": rate}
+            for i, rate in enumerate(of_run, start=1)
+        ]
+        write_table(tmp_path / "curves" / f"{name}.csv", rows)
+    noted = [
+        {"arm": arm, "task": "push", "seed": 0, "cpu_seconds": 7200}
+        for arm in ("sb3_sac", "cgm_jax")
+    ]
+    write_table(tmp_path / "runs.csv", noted)
+    held = [report_tables.held_by_program(arm, "push", tmp_path) for arm in ("cgm_jax", "sb3_sac")]
+    assert held == ["one of one seed", "none of one seed"]
+    ours, theirs = report_tables.other_programs(tmp_path).rows
+    assert list(ours[2:]) == ["0", "42", "80", "90.7", "80", "42"]  # (0.86 + 0.9 + 0.96) / 3
+    assert list(theirs[1:]) == [
+        *("Stable-Baselines3, SAC + HER", "0", "never", "", "2", "80", "42"),
+    ]
