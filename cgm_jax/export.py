@@ -1,7 +1,7 @@
 """`python -m cgm_jax.export DIR --onnx`: trained policies in a form that other programs load.
 
 DIR may also be one policy file, and `--pretrained TASK` chooses one that comes with the package.
-Needs the extra: `pip install cgm_jax[onnx]`. Nothing of a run directory is run, so that one from
+Needs the extra: `pip install '.[onnx]'`. Nothing of a run directory is run, so that one from
 elsewhere serves as well.
 """
 
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options.onnx:
         raise SettingError("onnx: say --onnx, the only format so far")
     if find_spec("onnx") is None:
-        raise SettingError("onnx: the package onnx is missing; pip install 'cgm_jax[onnx]'")
+        raise SettingError("onnx: the package onnx is missing; pip install '.[onnx]'")
     out = options.out
     if out is not None and not out.is_dir():
         raise SettingError(f"out: {out} is no directory")

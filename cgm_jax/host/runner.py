@@ -63,13 +63,15 @@ def run_jobs(
         SettingError: a checkpoint holds the state of another program.
     """
     rows, last, former = [], [], directory.former_metrics()
+    known = sum(len(former.get(run.name, ())) for job in jobs for run in job.group.runs)
+    strange = (directory.count_metrics() or 0) > known  # lines that would be lost
     shard = directory.config.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         progress.compiling()
         job, training = _begin(job, index, directory, compiler)
         if not (training.epoch or training.cycle or training.part):
-            _keep_lost_metrics(job.group, index, directory, former)
+            strange = _keep_lost_metrics(job.group, index, directory, former, strange=strange)
         # What later groups have done stays in the file, however this one ends.
         later = [row for other in jobs[index + 1 :] for row in _former_rows(other.group, former)]
         directory.replace_metrics(rows + training.rows + later)
@@ -169,29 +171,36 @@ def _former_rows(group: Group, former: Mapping[str, Sequence[Row]]) -> list[Row]
 
 
 def _keep_lost_metrics(
-    group: Group, index: int, directory: RunDirectory, former: Mapping[str, Sequence[Row]]
-) -> None:
-    """Of a group that is at its beginning: say so if it is not there for the first time.
-
-    Metrics that would be lost by that are set aside.
+    group: Group,
+    index: int,
+    directory: RunDirectory,
+    former: Mapping[str, Sequence[Row]],
+    *,
+    strange: bool,
+) -> bool:
+    """Say that a group begins anew, if it had begun before, and keep metrics lost by that.
 
     Args:
         group: the runs.
         index: its number.
         directory: what an earlier process has written, if there was one.
         former: what can be read of its rows, by run.
+        strange: whether it also has lines that are no rows of this sweep's runs.
+
+    Returns:
+        Whether such lines are still in its metrics.
 
     Raises:
         OSError: the metrics cannot be set aside.
     """
-    own = _former_rows(group, former)
-    lines = directory.count_metrics() if index == 0 else None
-    if not own and lines is None:
-        return
+    kept = strange or bool(_former_rows(group, former))
+    if not kept and (index or directory.count_metrics() is None):
+        return strange
     note = f"no checkpoint of group {index}: it begins anew"
-    if own or (lines and not former):  # what cannot be read may have been its own
+    if kept:
         note += f", and the metrics until now are kept as {directory.set_metrics_aside()}"
     print(note, file=sys.stderr)
+    return False
 
 
 def _train(

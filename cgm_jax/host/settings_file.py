@@ -72,9 +72,10 @@ def read_settings_file(path: Path) -> SettingsFile:
     """
     try:
         if path.is_dir():
-            check_parts(path)
             path = path / CONFIG
         if path.suffix == ".json":
+            if path.name == CONFIG:  # of a run directory, which may come from anybody
+                check_parts(path.parent)
             runs = {name: values for group in read_groups(path) for name, values in group.items()}
             return SettingsFile(runs=runs, start=start_beside(path))
         if path.stat().st_size > MAX_BYTES:

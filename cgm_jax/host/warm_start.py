@@ -120,7 +120,7 @@ def _leaves(checkpoint: Path, index: int) -> dict[str, np.ndarray]:
     try:
         with open_arrays(checkpoint) as arrays:
             return {name: arrays[name][index] for name in arrays if name.startswith(TAKEN)}
-    except UNREADABLE as error:
+    except (OSError, *UNREADABLE) as error:
         raise SettingError(f"from: {checkpoint} cannot be read: {error}") from None
 
 

@@ -18,7 +18,7 @@ from cgm_jax.storage.untrusted import UNREADABLE, from_json
 FORMAT = 1
 LAUNCH = "launch.json"
 CHECKPOINT_SECONDS = 60
-"""Between checkpoints: what a killed attempt loses, at most."""
+"""Between checkpoints, at least, unless the sweep says otherwise."""
 
 CARRIED = ("JAX_", "XLA_", "MUJOCO_", "CGM_JAX_", "PYTHONPATH", "XDG_STATE_HOME")
 """Variables that go along to other machines, by how their names begin."""

@@ -32,7 +32,7 @@ class Ray:
             ray: Any = importlib.import_module("ray")
         except ImportError:
             raise SettingError(
-                "on: ray needs Ray, which the extra installs: pip install 'cgm_jax[ray]'"
+                "on: ray needs Ray, which the extra installs: pip install '.[ray]'"
             ) from None
         try:
             ray.init(

@@ -84,7 +84,7 @@ class Slurm:
         """
         if importlib.util.find_spec("submitit") is None:
             raise SettingError(
-                "on: slurm needs submitit, which the extra installs: pip install 'cgm_jax[slurm]'"
+                "on: slurm needs submitit, which the extra installs: pip install '.[slurm]'"
             )
         for program in ("sbatch", "srun", "squeue", "scontrol"):
             if shutil.which(program) is None:

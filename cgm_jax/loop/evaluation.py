@@ -54,6 +54,7 @@ def changes_of_evaluation(
         "env_steps": state.env_steps,
         "updates": state.updates,
         "success_rate": _share(count_true(valid & outcomes.success), episodes),
+        "evaluated_episodes": episodes.astype(jnp.int32),
         "subgoal_success": _share(
             count_true(valid[:, None] & outcomes.subgoal_success, axis=0), episodes
         ),

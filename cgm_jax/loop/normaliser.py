@@ -71,7 +71,7 @@ def observe(
     """Take in new episodes.
 
     Goals are fed from both kinds that the networks see: desired and achieved ones. Of an episode
-    that ended early only the steps before its end count, not the copies of its last state.
+    that ended early the states up to its end count, not the copies of its last one.
 
     Args:
         normaliser: before.

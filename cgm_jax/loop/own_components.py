@@ -20,6 +20,7 @@ from cgm_jax.loop.training import Trainer
 RESERVED = {
     *("run", "env", "seed", "cgm", "epoch", "wall_s", "env_steps", "updates", "success_rate"),
     *("subgoal_success", "moved_share", "mask_rate_training", "mask_share", "physics_warnings"),
+    "evaluated_episodes",
     *("failed_epoch", "failure", "swept", "reported", *ROOMS, *LOOP_FIELDS),
 }
 """Names in metrics.jsonl that are not for a curriculum's report, nor for what an agent logs."""

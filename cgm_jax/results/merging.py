@@ -132,7 +132,7 @@ def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece
         with open_arrays(last) as arrays:
             epoch, cycle = (int(number) for number in arrays["position"])
             rows = from_lines(bytes(arrays["rows"]).decode().splitlines())
-    except UNREADABLE as error:
+    except (OSError, *UNREADABLE) as error:
         raise SettingError(f"{last} is no checkpoint: {error}") from None
     names = [run["name"] for run in runs]
     try:

@@ -46,7 +46,7 @@ def find_tracker(name: str) -> type[Tracker]:
     if found.PACKAGE and find_spec(found.PACKAGE) is None:
         raise SettingError(
             f"track: {name} needs the package {found.PACKAGE}, which is not installed: "
-            "pip install 'cgm_jax[tracking]'"
+            "pip install '.[tracking]'"
         )
     return found
 

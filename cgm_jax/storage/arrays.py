@@ -64,7 +64,7 @@ def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
     total = sum(_bytes(*entry) for entry in shapes.values())
     if total > most_bytes:
         raise ValueError(f"{path} holds {total:,} bytes of arrays, more than {most_bytes:,}")
-    with open_arrays(path) as arrays:
+    with _naming(path), open_arrays(path) as arrays:
         return dict(arrays)
 
 
@@ -74,6 +74,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, np.ndarray]]:
 
     Raises:
         ValueError: as `read_shapes`; in the block also if an array's bytes are damaged.
+        OSError: in the block, if the system cannot read them just now.
     """
     names = list(read_shapes(path))
     with contextlib.ExitStack() as stack:
@@ -86,10 +87,13 @@ class _Arrays(Mapping[str, np.ndarray]):
     """See `open_arrays`."""
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, names: Sequence[str]) -> None:
-        self._path, self._archive, self._names = path, archive, names
+        self._path, self._archive, self._names = path, archive, dict.fromkeys(names)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names  # without reading it
 
     def __len__(self) -> int:
         return len(self._names)
@@ -97,8 +101,13 @@ class _Arrays(Mapping[str, np.ndarray]):
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self._names:
             raise KeyError(name)
-        with _naming(self._path), self._archive.open(name + SUFFIX) as member:
-            return np.lib.format.read_array(member, allow_pickle=False)
+        try:
+            with self._archive.open(name + SUFFIX) as member:
+                return np.lib.format.read_array(member, allow_pickle=False)
+        except Exception as error:
+            if isinstance(error, MemoryError) or getattr(error, "errno", None) is not None:
+                raise  # the bytes are not to blame
+            raise _no_arrays(self._path, error) from None
 
 
 @contextlib.contextmanager
@@ -111,7 +120,11 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        raise ValueError(f"{path} is no file of arrays ({_line(error)})") from None
+        raise _no_arrays(path, error) from None
+
+
+def _no_arrays(path: Path, error: Exception) -> ValueError:
+    return ValueError(f"{path} is no file of arrays ({_line(error)})")
 
 
 def _name(info: zipfile.ZipInfo) -> str:

@@ -124,12 +124,11 @@ def _version(package: str) -> str | None:
 
 @functools.cache
 def _commit() -> str | None:
-    """The commit of this process, which does not follow when the checkout moves on."""
-    return commit()
+    """The commit of this checkout, marked if it has changes; None in an installed wheel.
 
-
-def commit() -> str | None:
-    """The commit of this checkout, marked if it has changes; None in an installed wheel."""
+    Asked for once, since a process does not follow when the checkout moves on, but for what it has
+    not imported yet.
+    """
     checkout = Path(__file__).parents[2]
     if not (checkout / ".git").exists():
         return None

@@ -15,7 +15,7 @@ MAX_DEPTH = 100
 
 
 def from_json(text: str | bytes) -> Any:
-    """The value that a text holds, which nests no deeper than all that is done with it can bear.
+    """The value that a text holds, which nests at most `MAX_DEPTH` deep.
 
     Raises:
         ValueError: it is no JSON.

@@ -1,7 +1,7 @@
 """Curricula compared by seed: which holds a success sooner, and how sure that is.
 
-The same seed means the same networks, resets and evaluation starts in every arm, so that arms are
-compared by the differences between runs of the same seed.
+The same seed means the same resets and evaluation starts in every arm, and the same first networks
+where they have the same shapes. So arms are compared by the differences between runs of a seed.
 """
 
 import math
@@ -107,7 +107,7 @@ def comparisons(runs: Runs) -> list[Row]:
     Compared are environment steps until a success is held, by the seeds that both have. A run that
     does not hold it by the end of the shorter training counts as holding it there. The difference
     to such a run is larger than shown, and marked with < or >, and with ? where neither run holds
-    it. So is then the mean, where all marks are alike, and there is no interval; the exact test and
+    it. The mean is marked likewise if all marks agree, and has no interval then; the exact test and
     P(sooner) are of the times as counted. Left out are pairs with fewer than two seeds in common,
     of which no run holds the success, or that left before it.
     """

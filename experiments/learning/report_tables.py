@@ -57,7 +57,7 @@ def _commit(config: Mapping[str, Any]) -> str:
     """At which commit a sweep began, and whether anything was different then or later."""
     commit = str(config["commit"])
     changed = ", with changes" if commit.endswith("-dirty") else ""
-    resumed = ", resumed elsewhere" if config.get("resumed") else ""
+    resumed = ", resumed with changes" if config.get("resumed") else ""
     return f"`{commit[:7]}`{changed}{resumed}"
 
 

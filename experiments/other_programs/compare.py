@@ -4,7 +4,8 @@ Trains every arm on every task, each run on one core (where the system has `task
 used its CPU seconds, from the start of its process with an empty compilation cache; a run of this
 program ends with the preset, if that is sooner. Writes the curve of each into OUT/curves, which run
 was made where into OUT/runs.csv, and the figure. Runs that are there with as many CPU seconds are
-not trained again. Other work on the machine makes CPU seconds do less.
+not trained again. Other work on the machine makes CPU seconds do less; and each run imports the
+checkout as it then is, which is to stay as it was.
 """
 
 import os
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.machine.allotment import available_cores
 from cgm_jax.storage.lock import locked
-from cgm_jax.storage.provenance import commit, provenance
+from cgm_jax.storage.provenance import provenance
 from experiments.other_programs.arms import ARMS, NAMES, OURS, TASKS
 from experiments.other_programs.figure import draw
 from experiments.other_programs.runs import RUNS, Run, runs_made
@@ -89,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def train_missing(options: CompareOptions) -> Iterator[BaseException]:
     """Train the runs that are not there; how those failed that did."""
-    machine = provenance("cpu", ())["machine"]
+    here = provenance("cpu", ())
+    made = {key: here[key] for key in ("commit", "machine")}
     wanted = {
         Run(arm, task, seed): None  # in this order, each once
         for seed in options.seeds
@@ -97,20 +99,19 @@ def train_missing(options: CompareOptions) -> Iterator[BaseException]:
         for arm in options.arms
     }
     there = runs_made(options.out, options.cpu_seconds)
-    for run, trained in train_all([run for run in wanted if run not in there], options):
-        failure = trained.exception()
+    for run, failure in train_all([run for run in wanted if run not in there], options):
         if failure is not None:
             yield failure
             continue
         run.partial(options.out).replace(run.path(options.out))
-        note(run, options, {"commit": trained.result(), "machine": machine})  # now it is there
+        note(run, options, made)  # last: what is noted is there
         print(f"trained: {run.arm}, {run.task}, seed {run.seed}", flush=True)
 
 
 def train_all(
     runs: Sequence[Run], options: CompareOptions
-) -> Iterator[tuple[Run, Future[str | None]]]:
-    """Train runs side by side, one on each core; each when it is over, with what `train` gave."""
+) -> Iterator[tuple[Run, BaseException | None]]:
+    """Train runs side by side, one on each core; each when it is over, and how it failed."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
     free: queue.SimpleQueue[int] = queue.SimpleQueue()
     for core in cores[: available_cores()]:
@@ -119,13 +120,13 @@ def train_all(
         pending = {pool.submit(train, run, options, free): run for run in runs}
         try:
             for future in as_completed(pending):
-                yield pending[future], future
+                yield pending[future], future.exception()
         finally:  # stopped: what has not begun is not to begin
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> str | None:
-    """Train a run on a core that is free; the commit that it began at.
+def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> None:
+    """Train a run on a core that is free.
 
     Raises:
         RuntimeError: it has failed; with what it said.
@@ -137,7 +138,6 @@ def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> 
     else:
         program = (str(options.python), "-m", "experiments.other_programs.sb3_run")
     core = free.get()
-    began_at = commit()
     try:
         with tempfile.TemporaryDirectory() as cache:
             settings = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
@@ -153,7 +153,6 @@ def train(run: Run, options: CompareOptions, free: "queue.SimpleQueue[int]") -> 
         free.put(core)
     if result.returncode:
         raise RuntimeError(f"{partial.stem} has failed:\n{result.stderr}")
-    return began_at
 
 
 def on_core(core: int, command: Sequence[str]) -> Sequence[str]:
@@ -161,7 +160,7 @@ def on_core(core: int, command: Sequence[str]) -> Sequence[str]:
     return ("taskset", "--cpu-list", str(core), *command) if shutil.which("taskset") else command
 
 
-def note(run: Run, options: CompareOptions, made: Mapping[str, str | None]) -> None:
+def note(run: Run, options: CompareOptions, made: Mapping[str, str]) -> None:
     """Keep with which CPU seconds, and where, a run was made: a row each."""
     path = options.out / RUNS
     row = {**run._asdict(), "cpu_seconds": options.cpu_seconds, **made}

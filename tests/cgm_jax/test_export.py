@@ -31,7 +31,7 @@ def test_bad_input_is_refused_in_one_line(arguments: str, monkeypatch: pytest.Mo
 
 def test_without_onnx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "find_spec", lambda _: None)
-    with pytest.raises(SettingError, match=r"pip install 'cgm_jax\[onnx\]'"):
+    with pytest.raises(SettingError, match=r"pip install '\.\[onnx\]'"):
         export.main(["--pretrained", "reach", "--onnx"])
 
 

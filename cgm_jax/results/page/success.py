@@ -10,6 +10,7 @@ from cgm_jax.results.statistics import (
     quartiles,
     wilson_interval,
 )
+from cgm_jax.storage.metrics import Row
 
 
 def final_success(run: TrainedRun, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -28,12 +29,19 @@ def final_success(run: TrainedRun, settings: Mapping[str, Any]) -> dict[str, Any
     rate = sum(row["success_rate"] or 0.0 for row in rows) / len(rows)
     found: dict[str, Any] = {"rate": rate, "evaluations": len(rows)}
     each = settings.get("evaluation_episodes")
-    valid = all(row["success_rate"] is not None and not row.get("physics_warnings") for row in rows)
-    if not isinstance(each, int) or each < 1 or not valid:
+    if not isinstance(each, int) or each < 1 or any(_valid(row, each) != each for row in rows):
         return found
     episodes = each * len(rows)
     low, high = wilson_interval(min(round(rate * episodes), episodes), episodes)
     return found | {"episodes": episodes, "low": low, "high": high}
+
+
+def _valid(row: Row, each: int) -> int:
+    """How many of `each` episodes of an evaluation were valid."""
+    if "evaluated_episodes" in row:
+        return row["evaluated_episodes"]
+    # Versions before counted all that were dropped, in training as well.
+    return 0 if row["success_rate"] is None or row.get("physics_warnings") else each
 
 
 def success_over_seeds(rates: Sequence[float]) -> dict[str, Any]:

@@ -120,6 +120,31 @@ def test_rows_of_a_later_group_without_a_checkpoint_are_kept_aside(
     assert rows(out) == expected
 
 
+def test_lines_that_are_no_rows_of_the_sweep_are_kept_aside_when_a_group_begins_anew(
+    names: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    stop_last_group(monkeypatch, 3, out)
+    for path in (out / "checkpoints").glob("group0_*"):
+        path.unlink()
+    metrics = out / "metrics.jsonl"
+    last = [line for line in metrics.read_text().splitlines(True) if names[1] in line]
+    metrics.write_text("".join(["no JSON any more\n", *last]))
+    before = metrics.read_bytes()
+    capsys.readouterr()
+    assert train(out, *ONE_BY_ONE) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "begins anew" in line]
+    kept = f"it begins anew, and the metrics until now are kept as {metrics}.1"
+    assert said == [f"no checkpoint of group 0: {kept}"]
+    assert Path(f"{metrics}.1").read_bytes() == before
+    assert [(row["run"], row["epoch"]) for row in rows(out)] == [
+        (name, epoch) for name in names for epoch in range(1, EPOCHS + 1)
+    ]
+
+
 def test_rows_of_later_groups_stay_while_earlier_ones_are_trained_for_longer(
     names: list[str],
     tmp_path: Path,

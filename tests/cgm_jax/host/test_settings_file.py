@@ -161,8 +161,9 @@ def test_neither_pipes_nor_links_of_a_run_directory_are_read(tmp_path: Path) -> 
     config = {"groups": [{"runs": [{"name": "a", **group.runs[0].values}]}], "from": "x"}
     written(tmp_path / "config.json", json.dumps({"format": 2, **config}))
     (tmp_path / "start.npz").symlink_to(tmp_path / "config.json")
-    with pytest.raises(SettingError, match=r"^config: .*start.npz is a symbolic link"):
-        groups_of("--config", str(tmp_path))
+    for path in (tmp_path, tmp_path / "config.json"):
+        with pytest.raises(SettingError, match=r"^config: .*start.npz is a symbolic link"):
+            groups_of("--config", str(path))
 
 
 @pytest.mark.parametrize("value", [{}, 5, ["x"], [["x"]], None, True, [[[0]]]])

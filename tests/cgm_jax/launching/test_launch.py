@@ -52,8 +52,8 @@ from tests.cgm_jax.sweeps import POINT_MASS, rows
         (["--jobs", "2", *SMOKE, "--env", "none.py:X"], "env: .*none.py:X' is not FILE.py:NAME"),
         (["--resume", "none"], "resume: none holds no launch: launch.json is missing"),
         (["--resume", "none", "--jobs", "2"], "resume: a launch resumes as it was begun"),
-        (["--on", "ray", "--jobs", "2", *SMOKE], r"on: ray needs Ray, .*'cgm_jax\[ray\]'$"),
-        (["--on", "slurm", "--jobs", "2", *SMOKE], r"on: slurm needs .*'cgm_jax\[slurm\]'$"),
+        (["--on", "ray", "--jobs", "2", *SMOKE], r"on: ray needs Ray, .*'\.\[ray\]'$"),
+        (["--on", "slurm", "--jobs", "2", *SMOKE], r"on: slurm needs .*'\.\[slurm\]'$"),
     ],
 )
 def test_bad_input_is_refused_before_anything_is_made(

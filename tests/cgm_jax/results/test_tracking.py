@@ -231,7 +231,7 @@ def test_trackers_are_found_by_their_files_names() -> None:
     ("name", "message"),
     [
         ("mlflow", "track: unknown track 'mlflow'; choose from tensorboard, trackio, wandb$"),
-        ("wandb", r"track: wandb needs .* not installed: pip install 'cgm_jax\[tracking\]'$"),
+        ("wandb", r"track: wandb needs .* not installed: pip install '\.\[tracking\]'$"),
         (POINT_MASS, "is not derived from Tracker$"),
     ],
 )

@@ -1,5 +1,6 @@
 """Arrays are written to npz files as numpy writes them, also row by row."""
 
+import errno
 import io
 import zipfile
 from pathlib import Path
@@ -36,6 +37,31 @@ def test_arrays_are_read_by_their_names(tmp_path: Path) -> None:
             assert arrays[name].dtype == array.dtype
         with pytest.raises(KeyError, match="b"):
             arrays["b"]
+
+
+def test_to_ask_for_a_name_reads_no_array(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, read = tmp_path / "a.npz", []
+    np.savez(path, a=np.arange(3))
+    with open_arrays(path) as arrays, monkeypatch.context() as patch:
+        patch.setattr(zipfile.ZipFile, "open", lambda *_: read.append(1))
+        assert "a" in arrays
+        assert "b" not in arrays
+    assert not read
+
+
+def test_what_the_system_cannot_read_just_now_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, a=np.arange(3))
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with open_arrays(path) as arrays, monkeypatch.context() as patch:
+        patch.setattr(zipfile.ZipFile, "open", fail)
+        with pytest.raises(OSError, match="Input/output error"):
+            arrays["a"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import itertools
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -32,9 +31,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[str]]:
         return subprocess.CompletedProcess(command, int(fails), "", "no torch")
 
     monkeypatch.setattr(subprocess, "run", run)
-    monkeypatch.setattr(compare, "provenance", lambda *_: {"machine": "here"})
-    commits = itertools.chain(["abc"] * len(NAMES), itertools.repeat("def"))
-    monkeypatch.setattr(compare, "commit", lambda: next(commits))
+    monkeypatch.setattr(compare, "provenance", lambda *_: {"commit": "abc", "machine": "here"})
     return called
 
 
@@ -53,9 +50,8 @@ def test_each_missing_run_is_trained_once_and_noted(
     assert sorted((row["arm"], row["seed"]) for row in rows) == sorted(
         (arm, seed) for arm in NAMES for seed in "01"
     )
-    assert {(row["seed"], row["commit"]) for row in rows} == {("0", "abc"), ("1", "def")}
-    assert {(row["task"], row["machine"], row["cpu_seconds"]) for row in rows} == {
-        ("push", "here", "60.0")
+    assert {(row["task"], row["commit"], row["machine"], row["cpu_seconds"]) for row in rows} == {
+        ("push", "abc", "here", "60.0")
     }
     for command in commands[: len(NAMES)]:
         arm = command[-5]
@@ -76,17 +72,26 @@ def test_two_programs_do_not_write_into_one_directory(
 def test_a_run_ends_once_the_program_that_started_it_is_gone() -> None:
     code = """
 import os, time
+ready, written = os.pipe()
 if os.fork():
-    time.sleep(0.5)
+    os.read(ready, 1)
 else:
     from experiments.other_programs.curve import PARENT, is_wanted
     print(is_wanted(), flush=True)
-    while os.getppid() == PARENT:
+    os.write(written, b".")
+    for _ in range(3000):
+        if os.getppid() != PARENT:
+            break
         time.sleep(0.01)
     print(is_wanted(), flush=True)
 """
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=compare.ROOT, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        cwd=compare.ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
     assert result.stdout.split() == ["True", "False"]
 

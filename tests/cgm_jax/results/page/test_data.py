@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cgm_jax.results.figures.runs import TrainedRun
 from cgm_jax.results.page.data import page_data
+from cgm_jax.results.page.success import final_success
 from cgm_jax.results.page.sweeps import labels_of, read_sweep
 from cgm_jax.results.statistics import quartiles, wilson_interval
 from tests.cgm_jax.results.page.made import (
@@ -134,6 +136,25 @@ def test_the_first_format_is_read(tmp_path: Path) -> None:
     assert data["runs"][0]["final"]["episodes"] == 21
     assert ["curriculum", "CGM"] in data["common"]
     assert data["sweeps"][0]["finished"]
+
+
+@pytest.mark.parametrize(
+    ("entries", "episodes"),
+    [
+        ({"physics_warnings": 0}, 60),
+        ({"physics_warnings": 2}, None),  # whose episodes is not known
+        ({"physics_warnings": 2, "evaluated_episodes": 20}, 60),  # training's
+        ({"physics_warnings": 0, "evaluated_episodes": 19}, None),  # one was over at its start
+    ],
+)
+def test_final_success_has_an_interval_where_all_episodes_were_valid(
+    entries: dict[str, int], episodes: int | None
+) -> None:
+    rows = [{"success_rate": rate, **entries} for rate in (0.0, 0.8, 0.9, 1.0)]
+    final = final_success(TrainedRun("run", 0, {}, rows), {"evaluation_episodes": 20})
+    assert final["rate"] == pytest.approx(0.9)
+    assert final.get("episodes") == episodes
+    assert ("low" in final) == (episodes is not None)
 
 
 def test_what_has_misled_before(tmp_path: Path) -> None:
