@@ -59,7 +59,7 @@ def changes_of_evaluation(
             count_true(valid[:, None] & outcomes.subgoal_success, axis=0), episodes
         ),
         **hyper.curriculum.report(state.curriculum),
-        **_training_metrics(state.statistics),
+        **_training_metrics(state.statistics, state.failure),
         "physics_warnings": state.statistics.physics_warnings + broken,
         "failure": state.failure,
     }
@@ -87,8 +87,9 @@ def final_policy(
     return policy
 
 
-def _training_metrics(statistics: EpochStatistics) -> Metrics:
-    losses = {name: _share(total, statistics.updates) for name, total in statistics.losses.items()}
+def _training_metrics(statistics: EpochStatistics, failure: jax.Array) -> Metrics:
+    updates = jnp.where(failure == 0, statistics.updates, 0.0)  # those of a frozen run lead nowhere
+    losses = {name: _share(total, updates) for name, total in statistics.losses.items()}
     moved = {"moved_share": _share(statistics.moved_episodes, statistics.episodes)}
     if not statistics.mask_episodes.size:
         return moved | losses

@@ -13,7 +13,7 @@ from cgm_jax.loop.divergence import freeze_if_failed
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.judging import reward_range, rewards
 from cgm_jax.loop.setup import Setup, sizes
-from cgm_jax.loop.state import EpochStatistics, TrainingState
+from cgm_jax.loop.state import TrainingState
 
 
 def minibatches(
@@ -57,26 +57,16 @@ def learn(
         hyper.agent, state.agent, batches, agent_key
     )
     failure, agent = freeze_if_failed(state.failure, state.agent, agent)
+    losses = {name: total + info[name].sum() for name, total in state.statistics.losses.items()}
+    logged = next((values.size for values in info.values()), 0)
     updates = sizes(setup, hyper).updates_at_once
     return state.replace(
         agent=agent,
         failure=failure,
         updates=state.updates + jnp.where(failure == 0, updates, 0),
-        statistics=_with_losses(state.statistics, info, failure == 0),
-    )
-
-
-def _with_losses(
-    statistics: EpochStatistics, info: dict[str, jax.Array], kept: jax.Array
-) -> EpochStatistics:
-    """Add what updates have shown, if the agent that they led to was kept."""
-    losses = {
-        name: jnp.where(kept, total + info[name].sum(), total)
-        for name, total in statistics.losses.items()
-    }
-    logged = float(next((values.size for values in info.values()), 0))
-    return statistics.replace(
-        losses=losses, updates=statistics.updates + jnp.where(kept, logged, 0.0)
+        statistics=state.statistics.replace(
+            losses=losses, updates=state.statistics.updates + logged
+        ),
     )
 
 

@@ -19,7 +19,7 @@ class EpochStatistics(struct.PyTreeNode):
         mask_successes: those that achieved their masked goal, alike.
         moved_episodes: those that moved their achieved goal (`future.moved_goal`), scalar.
         physics_warnings: episodes dropped since their physics broke, scalar.
-        losses: sums of the scalars that `Agent.train` returns, of updates that were kept.
+        losses: sums of the scalars that `Agent.train` returns.
         updates: how many of each they are sums of, scalar.
     """
 
