@@ -40,8 +40,9 @@ def draw(out: Path, cpu_seconds: float) -> Path:
     tasks = [task for task in TASKS if any(key[0] == task for key in curves)]
     if not tasks:
         raise ValueError(f"{out}: there is no curve of {cpu_seconds:g} CPU seconds")
-    size = (12.0, 4.0 * len(tasks) + 0.6)
-    figure, panels = plt.subplots(len(tasks), 2, figsize=size, squeeze=False, sharey=True)
+    size = (12.0, 4.6 * len(tasks))
+    shape = {"figsize": size, "squeeze": False, "sharey": True, "layout": "constrained"}
+    figure, panels = plt.subplots(len(tasks), 2, **shape)
     for row, task in zip(panels, tasks, strict=True):
         for panel, (axis, title) in zip(row, AXES.items(), strict=True):
             for arm in NAMES:
@@ -52,8 +53,7 @@ def draw(out: Path, cpu_seconds: float) -> Path:
             panel.grid(alpha=0.3)
         row[0].set_ylabel("success rate, full goal")
         row[0].set_ylim(-0.02, 1.02)
-        row[0].legend(fontsize=8, loc="upper left")
-    figure.tight_layout()
+        row[0].legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     path = out / "comparison.png"
     figure.savefig(path, dpi=130)
     plt.close(figure)
