@@ -96,6 +96,18 @@ def names(whole: Path) -> list[str]:
     return [row["run"] for row in rows(whole)[:RUNS]]
 
 
+def assert_keeps_metrics_aside(out: Path, group: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Resume; one group begins anew, which is said, and the metrics until now are kept."""
+    metrics = out / "metrics.jsonl"
+    before = metrics.read_bytes()
+    capsys.readouterr()
+    assert train(out, *ONE_BY_ONE) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "begins anew" in line]
+    kept = f"it begins anew, and the metrics until now are kept as {metrics}.1"
+    assert said == [f"no checkpoint of group {group}: {kept}"]
+    assert Path(f"{metrics}.1").read_bytes() == before
+
+
 def test_rows_of_a_later_group_without_a_checkpoint_are_kept_aside(
     names: list[str],
     whole: Path,
@@ -107,15 +119,8 @@ def test_rows_of_a_later_group_without_a_checkpoint_are_kept_aside(
     stop_last_group(monkeypatch, 3, out)
     for path in (out / "checkpoints").glob("group1_*"):
         path.unlink()
-    metrics = out / "metrics.jsonl"
-    before = metrics.read_bytes()
     assert [row["run"] for row in rows(out)] == [names[0]] * EPOCHS + [names[1]] * 3
-    capsys.readouterr()
-    assert train(out, *ONE_BY_ONE) == 0
-    said = [line for line in capsys.readouterr().err.splitlines() if "begins anew" in line]
-    kept = f"it begins anew, and the metrics until now are kept as {metrics}.1"
-    assert said == [f"no checkpoint of group 1: {kept}"]
-    assert Path(f"{metrics}.1").read_bytes() == before
+    assert_keeps_metrics_aside(out, 1, capsys)
     expected = sorted(rows(whole), key=lambda row: names.index(row["run"]))
     assert rows(out) == expected
 
@@ -133,13 +138,7 @@ def test_lines_that_are_no_rows_of_the_sweep_are_kept_aside_when_a_group_begins_
     metrics = out / "metrics.jsonl"
     last = [line for line in metrics.read_text().splitlines(True) if names[1] in line]
     metrics.write_text("".join(["no JSON any more\n", *last]))
-    before = metrics.read_bytes()
-    capsys.readouterr()
-    assert train(out, *ONE_BY_ONE) == 0
-    said = [line for line in capsys.readouterr().err.splitlines() if "begins anew" in line]
-    kept = f"it begins anew, and the metrics until now are kept as {metrics}.1"
-    assert said == [f"no checkpoint of group 0: {kept}"]
-    assert Path(f"{metrics}.1").read_bytes() == before
+    assert_keeps_metrics_aside(out, 0, capsys)
     assert [(row["run"], row["epoch"]) for row in rows(out)] == [
         (name, epoch) for name in names for epoch in range(1, EPOCHS + 1)
     ]
