@@ -1,6 +1,6 @@
 """The setting of a run: what the seeds of a line, or of a row of a table, have in common."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
@@ -31,6 +31,8 @@ VARIANTS: Mapping[str, Callable[[Any], str]] = {
 }
 """How settings of a curriculum are told that are not at their defaults."""
 
+USUAL_LAYERS = [128, 128, 128]
+
 
 class Setting(NamedTuple):
     """What tells runs apart in a comparison, besides their seeds.
@@ -49,6 +51,7 @@ class Setting(NamedTuple):
         c_g: success rate aimed at; None where nothing is aimed at.
         kappa: sharpness; None likewise.
         stages: how stages before the goal are pursued and replayed; empty where they are not.
+        hidden_layers: their widths; empty where they are those of most plans, `USUAL_LAYERS`.
         engine: of physics; "auto" is `native` in all that is on record.
     """
 
@@ -64,6 +67,7 @@ class Setting(NamedTuple):
     c_g: float | None = None
     kappa: float | None = None
     stages: str = ""
+    hidden_layers: str = ""
     engine: str = "auto"
 
     @property
@@ -82,6 +86,7 @@ class Setting(NamedTuple):
             "masked hindsight": self.her_masks,
             "mask as input": self.mask_input,
             self.stages: bool(self.stages),
+            self.hidden_layers: bool(self.hidden_layers),
             f"on {self.engine}": self.engine != "auto",
         }
         told = ", ".join(detail for detail, holds in details.items() if holds)
@@ -122,6 +127,7 @@ def setting_of(settings: Mapping[str, Any]) -> Setting:
         settings.get("c_g"),
         settings.get("kappa"),
         _stages(settings) if settings["relabelling"] == "relay" else "",
+        _widths(settings["hidden_layers"]),
         settings["engine"],
     )
 
@@ -130,6 +136,10 @@ def _stages(settings: Mapping[str, Any]) -> str:
     """By which chance stages are pursued before the goal, and which share of hindsight they get."""
     chance, share = percent(settings["relay_chance"]), percent(settings["relay_share"])
     return f"stages by {chance}, {share} of hindsight" if settings["her"] else f"stages by {chance}"
+
+
+def _widths(hidden_layers: Sequence[int]) -> str:
+    return "" if [*hidden_layers] == USUAL_LAYERS else " x ".join(map(str, hidden_layers))
 
 
 def _masks(settings: Mapping[str, Any]) -> str:

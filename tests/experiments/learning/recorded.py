@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from experiments.learning.records import RecordedRun, settings_from
+from experiments.learning.setting import USUAL_LAYERS
 
 EVERY = 1000
 """Environment steps between evaluations."""
@@ -13,7 +14,8 @@ def run(
     rates: Sequence[float | None], seed: int = 0, sweep: str = "one", **settings: Any
 ) -> RecordedRun:
     """A run on push with HER that was evaluated every 1,000 environment steps and 2 seconds."""
-    shared = {"env": "push", "her_filter": True, "epochs": len(rates)}
+    usual = {"env": "push", "her_filter": True, "hidden_layers": USUAL_LAYERS}
+    shared = {**usual, "epochs": len(rates)}
     values = settings_from({**shared, **settings, "seed": seed})
     rows = [
         {

@@ -3,11 +3,12 @@ from typing import Any
 import pytest
 
 from experiments.learning.records import settings_from
-from experiments.learning.setting import setting_of
+from experiments.learning.setting import USUAL_LAYERS, setting_of
 
 
 def setting(**settings: Any) -> Any:
-    return setting_of(settings_from({"her_filter": True, **settings}))
+    usual = {"her_filter": True, "hidden_layers": USUAL_LAYERS}
+    return setting_of(settings_from({**usual, **settings}))
 
 
 @pytest.mark.parametrize(
@@ -58,6 +59,13 @@ def test_what_networks_see_is_a_part_of_what_learns(
     assert other.differs_in_learning_alone(setting()) == (
         settings.get("her", True) and settings.get("her_filter", True)
     )
+
+
+def test_other_networks_are_another_setting() -> None:
+    wide = setting(hidden_layers=(256, 256, 256))
+    assert wide.algorithm == "DDPG + HER (256 x 256 x 256)"
+    assert not wide.differs_in_masks_alone(setting(curriculum="full"))
+    assert not wide.differs_in_learning_alone(setting())
 
 
 def test_goals_on_the_table_are_another_task() -> None:
