@@ -107,8 +107,9 @@ def comparisons(runs: Runs) -> list[Row]:
     Compared are environment steps until a success is held, by the seeds that both have. A run that
     does not hold it by the end of the shorter training counts as holding it there. The difference
     to such a run is larger than shown, and marked with < or >, and with ? where neither run holds
-    it. The mean is marked likewise if all marks agree, and has no interval then; the exact test and
-    P(sooner) are of the times as counted. Left out are pairs with fewer than two seeds in common,
+    it. The mean is marked likewise if all marks agree, and has no interval then; nor where all
+    differences are equal, since times are known to one evaluation only. The exact test and P(sooner)
+    are of the times as counted. Left out are pairs with fewer than two seeds in common,
     of which no run holds the success, or that left before it.
     """
     settings = runs_by_setting(runs)
@@ -187,7 +188,9 @@ def _mark(one: float, other: float, budget: int) -> str:
 
 
 def _mean(paired: PairedDifference, marks: set[str]) -> Row:
-    """The mean difference; its interval where all differences are known."""
+    """The mean difference; its interval where all differences are known and not all are equal."""
+    if not marks and paired.low == paired.high:
+        return {"mean_difference": round(paired.mean), "low": "", "high": ""}
     if not marks:
         ends = {"low": round(paired.low), "high": round(paired.high)}
         return {"mean_difference": round(paired.mean), **ends}

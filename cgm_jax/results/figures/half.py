@@ -166,7 +166,7 @@ def _decorate(
     """Axes, and what open points and epochs mean."""
     last = max(point.last for point in points)
     if not all(point.reached for point in points):
-        _explain_open(axes, {point.last for point in points}, unit)
+        _explain_open(axes, {point.last for point in points if not point.reached}, unit)
     if axis.name == "c_g":
         axes.set_xlabel("target success rate $c_g$ (%)")
     else:

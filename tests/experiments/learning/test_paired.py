@@ -70,11 +70,12 @@ def test_arms_are_compared_by_seeds_that_both_have() -> None:
     ("other", "differences", "mean"),
     [
         ([3, 5], "1000 -1000", (0, -12706, 12706)),
+        ([3, 3], "1000 1000", (1000, "", "")),  # known to one evaluation only
         ([3, None], "1000 <-5000", ("<-2000", "", "")),
         ([None, None], "<-5000 <-5000", ("<-5000", "", "")),
     ],
 )
-def test_the_mean_of_bounds_is_a_bound(
+def test_the_mean_has_an_interval_where_differences_are_known_and_differ(
     other: list[int | None], differences: str, mean: tuple[Any, ...]
 ) -> None:
     def holding_at(epoch: int | None, seed: int, **curriculum: Any) -> RecordedRun:

@@ -90,6 +90,13 @@ def test_runs_of_different_lengths_stand_where_each_ended() -> None:
     assert texts(panel)[0] == "not within the training (open)"
 
 
+def test_open_points_stand_where_their_own_training_ended() -> None:
+    rows = sweep(lambda c_g, seed: NEVER if c_g == 0.1 else [*AT_3, 0.9, 0.9], c_g=[0.1, 0.4])
+    (panel,) = panels(epochs_to_half(rows))
+    assert points(panel, "median over seeds").tolist() == [[10, 4], [40, 3]]
+    assert texts(panel)[0] == "not within 4 epochs (open)"
+
+
 def test_runs_that_diverged_or_had_no_valid_episode_are_named() -> None:
     rows = sweep(lambda c_g, seed: AT_3 if seed else [None] * 4, c_g=[0.1])
     rows += sweep(lambda **_: NEVER, shared={"failed_epoch": 2}, c_g=[0.4])
