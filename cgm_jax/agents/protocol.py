@@ -99,7 +99,8 @@ class Agent(Protocol[State]):
         """Learn from the minibatches of a cycle, or of a part of it, [updates, batch, ...].
 
         Returns:
-            The state, and scalars to log: arrays [k] of which the loop takes the mean.
+            The state, and scalars to log: arrays [k], all of one length, of which the loop takes
+            the mean.
         """
         ...
 

@@ -37,7 +37,7 @@ class Settings:
     normaliser_floor: float = static(
         0.2, "least standard deviation of inputs, in distance thresholds", 0, 1e6
     )
-    normaliser_limit: float = static(5.0, "normalised inputs are clipped to +-this", 0, 1e6)
+    normaliser_limit: float = static(5.0, "normalised inputs are clipped to +-this", 1e-3, 1e6)
     mask_input: bool = static(False, "show the networks which goal dimensions are masked")
     evaluation_episodes: int = static(20, "noise-free full-goal episodes per epoch", 1, 10**6)
     leave_at: float | None = static(

@@ -8,10 +8,10 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, split, structure
 from cgm_jax.config.settings import Settings
 from cgm_jax.envs import GoalEnvironment
-from cgm_jax.host.memory import NOT_COUNTED, estimate_memory, format_bytes, runs_that_fit
+from cgm_jax.host.memory import estimate_memory, format_bytes, not_counted, runs_that_fit
 from cgm_jax.loop.cutting import WHOLE, Parts
 from cgm_jax.loop.devices import Device, share
-from cgm_jax.loop.environment import compiles_physics, make_environment, remarks_on
+from cgm_jax.loop.environment import make_environment, remarks_on
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
 
@@ -74,7 +74,7 @@ def plan_jobs(
         note += f" take {format_bytes(estimate.total(largest, len(devices)))} of memory"
         if (sharing := share(largest, len(devices)).devices) > 1:
             note += f" on {'each of ' if not estimate.on_cpu else ''}{sharing} devices"
-        notes.append(note + (NOT_COUNTED if compiles_physics(trainer.setup.env) else ""))
+        notes.append(note + not_counted(trainer.setup.env))
     return jobs, notes
 
 

@@ -7,7 +7,8 @@ compiled programs (jax 0.10.2); tests hold the sum within 15 % of what a process
 
 That holds where a step of the environment is a callback, as of MuJoCo, or up to 2,000 operations.
 Physics that XLA compiles, such as Brax's and MJX's, may take as much again, most of it while they
-are compiled, which XLA's analysis of a program does not tell either. It is said not to be counted.
+are compiled, which XLA's analysis of a program does not tell either. It is said not to be counted,
+nor is the other process of environments that are Gymnasium's.
 """
 
 import bisect
@@ -19,7 +20,9 @@ import jax
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.devices import share
+from cgm_jax.loop.environment import compiles_physics, is_hosted
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.setup import sizes
 from cgm_jax.loop.training import Trainer
@@ -34,6 +37,9 @@ PROCESS_BYTES = 780 * 2**20
 NOT_COUNTED = ", and more for its physics: what XLA takes to compile and run them is not counted"
 """What to add to an estimate where an environment `compiles_physics`."""
 
+SIMULATORS_NOT_COUNTED = ", and more for its simulators, one per episode at once: not counted"
+"""And where it `is_hosted`."""
+
 TRAINING_COPIES = 4
 """Of a cycle's episodes: step by step, whole, with noise, and inside the normaliser."""
 
@@ -43,6 +49,13 @@ MINIBATCH_COPIES = 2
 
 LAYER_COPIES = 5.3
 """Of what the hidden units of one network hold for a batch: two networks there and back."""
+
+
+def not_counted(env: GoalEnvironment) -> str:
+    """What to add to an estimate, that it leaves out for an environment; often nothing."""
+    if is_hosted(env):
+        return SIMULATORS_NOT_COUNTED
+    return NOT_COUNTED if compiles_physics(env) else ""
 
 
 @dataclass(frozen=True)

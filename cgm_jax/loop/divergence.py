@@ -30,19 +30,23 @@ def failure_of(agent: Any) -> jax.Array:
     return jnp.stack(bits).sum(dtype=jnp.int32)
 
 
-def freeze_if_failed(failure: jax.Array, old: Any, new: Any) -> tuple[jax.Array, Any]:
+def freeze_if_failed(
+    failure: jax.Array, old: Any, new: Any, learned: jax.Array
+) -> tuple[jax.Array, Any]:
     """Take the new agent if it is finite and the run has never failed, else stay with the old.
 
     Args:
         failure: of the run so far, 0 if there was none.
         old: the agent's state before some updates.
         new: the state after them.
+        learned: whether there was anything to learn from; if not, the old agent stays, too.
 
     Returns:
         The run's failure from now on, and its agent's state.
     """
-    failure = jnp.where(failure == 0, failure_of(new), failure)
-    return failure, jax.tree.map(lambda one, other: jnp.where(failure == 0, one, other), new, old)
+    failure = jnp.where((failure == 0) & learned, failure_of(new), failure)
+    taken = (failure == 0) & learned
+    return failure, jax.tree.map(lambda one, other: jnp.where(taken, one, other), new, old)
 
 
 def describe_failure(failure: int, agent: Any) -> str:

@@ -69,6 +69,11 @@ def calls_physics(env: GoalEnvironment) -> bool:
     """Whether an environment calls its physics outside of XLA: MuJoCo's own, or another process."""
     if isinstance(env, FetchEnvironment):
         return isinstance(env.physics, NativePhysics)
+    return is_hosted(env)
+
+
+def is_hosted(env: GoalEnvironment) -> bool:
+    """Whether an environment's episodes are simulated in another process, one simulator each."""
     return isinstance(env, HostedTask)
 
 

@@ -8,12 +8,14 @@ import jax.numpy as jnp
 from jax.custom_batching import sequential_vmap
 
 from cgm_jax.agents.protocol import Minibatch
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.divergence import freeze_if_failed
 from cgm_jax.loop.inputs import network_inputs
 from cgm_jax.loop.judging import reward_range, rewards
 from cgm_jax.loop.setup import Setup, sizes
 from cgm_jax.loop.state import TrainingState
+from cgm_jax.replay.ring import size
 
 
 def minibatches(
@@ -51,21 +53,30 @@ def learn(
     draw_key: jax.Array,
     agent_key: jax.Array,
 ) -> TrainingState:
-    """Updates of a cycle, or of a part of it; an agent that diverges stays as it was before."""
+    """Updates of a cycle, or of a part of it.
+
+    An agent that diverges stays as it was before, and so it does while replay holds no episode.
+
+    Raises:
+        SettingError: the agent logs arrays of different lengths.
+    """
     batches = minibatches(setup, state, hyper, draw_key)
     agent, info = _vmap_for_platform(setup.platform, _train)(
         hyper.agent, state.agent, batches, agent_key
     )
-    failure, agent = freeze_if_failed(state.failure, state.agent, agent)
+    learned = size(state.replay) > 0
+    failure, agent = freeze_if_failed(state.failure, state.agent, agent, learned)
     losses = {name: total + info[name].sum() for name, total in state.statistics.losses.items()}
-    logged = next((values.size for values in info.values()), 0)
+    logged = {info[name].size for name in losses} or {0}
+    if len(logged) > 1:
+        raise SettingError("agent: what train logs are arrays of different lengths")
     updates = sizes(setup, hyper).updates_at_once
     return state.replace(
         agent=agent,
         failure=failure,
         updates=state.updates + jnp.where(failure == 0, updates, 0),
         statistics=state.statistics.replace(
-            losses=losses, updates=state.statistics.updates + logged
+            losses=losses, updates=state.statistics.updates + logged.pop()
         ),
     )
 

@@ -156,11 +156,28 @@ def _check_alike(first: Any, second: Any, name: str, function: str) -> None:
         )
 
 
+def _check_rewards(own: OwnEnvironment, obs: dict[str, np.ndarray], name: str) -> None:
+    """Ask for the reward of a first state, and where the goal is met exactly, as in hindsight.
+
+    Raises:
+        SettingError: one is not finite.
+    """
+    if not hasattr(own, "goal_reward"):
+        return
+    achieved, desired = (obs[entry] for entry in ENTRIES[1:])
+    for goal, where in ((desired, "in a first state"), (achieved, "where the goal is met exactly")):
+        with user_code("env", f"running goal_reward of {name}"):
+            reward = float(own.goal_reward(achieved, goal))
+        if not np.isfinite(reward):
+            raise SettingError(f"env: goal_reward of {name} is {reward} {where}")
+
+
 def _check_values(own: OwnEnvironment, name: str) -> None:
     """Run a reset and a step.
 
     Raises:
-        SettingError: they fail, or the goal does not stay, or is too large for its threshold.
+        SettingError: they fail, or the goal does not stay, or is too large for its threshold, or
+            a reward is not finite.
     """
 
     def run() -> Any:
@@ -182,6 +199,7 @@ def _check_values(own: OwnEnvironment, name: str) -> None:
                 )
                 return
     first, second = states
+    _check_rewards(own, first, name)
     if not np.array_equal(first["desired_goal"], second["desired_goal"]):
         raise SettingError(f"env: step of {name} changes desired_goal, which holds for an episode")
     largest = np.abs(first["desired_goal"].astype(np.float32)).max()

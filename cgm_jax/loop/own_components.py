@@ -48,8 +48,11 @@ def check_components(trainer: Trainer, run: Run) -> None:
         after, _ = jax.eval_shape(trainer.evaluate, state, run.hyper)
         _check_alike(f"{kind}: {name}", state, after)
         reported = jax.eval_shape(run.hyper.curriculum.report, state.curriculum)
-    for part, names in (("curriculum", reported), ("agent", run.hyper.agent.logged)):
-        if taken := sorted(set(names) & (RESERVED | set(builtin_fields()))):
+    for part, names, others in (
+        ("curriculum", reported, run.hyper.agent.logged),
+        ("agent", run.hyper.agent.logged, reported),
+    ):
+        if taken := sorted(set(names) & (RESERVED | {*builtin_fields(), *others})):
             raise SettingError(f"{part}: {name} reports {taken[0]}, a name that is taken")
 
 

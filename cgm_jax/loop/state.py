@@ -42,7 +42,7 @@ class TrainingState(struct.PyTreeNode):
         statistics: of the epoch in progress.
         env_steps: training steps over all environments so far, int32; all episodes count with their
             whole length T, also those that ended early or were dropped.
-        updates: minibatches that the agent has learned from, int32; stands still once it failed.
+        updates: minibatches that the agent was given, int32; stands still once it failed.
         failure: 0, or what has diverged, see `divergence.failure_of`; then the agent is frozen.
         unfinished: of a cycle that is cut, see `parts.py`; None where cycles are whole.
     """

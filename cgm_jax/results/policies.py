@@ -16,7 +16,7 @@ from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import RenderingError, check_rendering
 from cgm_jax.envs.viewer import check_display
-from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.environment import is_hosted, make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
 from cgm_jax.loop.judging import succeeds
 from cgm_jax.loop.own_environment import OwnEnvironment
@@ -41,7 +41,12 @@ and memory is bounded.
 """
 
 CHUNK_ROWS = 4096
-"""Episodes over all policies in one such call."""
+"""Episodes over all policies in one such call; those of hosted environments, each of which needs a
+simulator of its own, are of one policy.
+"""
+
+NOISE = 2**31
+"""What makes the key of an episode's noise of its own; a reset splits that in far fewer."""
 
 
 class Recording(struct.PyTreeNode):
@@ -121,11 +126,11 @@ def evaluate_random(
     env = planned_environment(settings, plan)
 
     def play(_: Any, chunk: Chunk, recorded: int) -> Result:
-        shape = (env.episode_length, len(chunk.keys), env.action_size)
-        # The seed's own key draws starts and goals, as for every policy.
-        key = jax.random.fold_in(jax.random.key(plan.seed), 1)
-        key = jnp.where(chunk.start == 0, key, jax.random.fold_in(key, chunk.start))
-        noise = draw_exploration(key, shape, Hyperparameters())
+        def draw(key: jax.Array) -> Exploration:
+            shape = (env.episode_length, env.action_size)
+            return draw_exploration(jax.random.fold_in(key, NOISE), shape, Hyperparameters())
+
+        noise = jax.vmap(draw, out_axes=1)(chunk.keys)
         return _play(env, _random_policy, plan, chunk, recorded, noise)
 
     (outcome,) = _play_all(env, play, {"none": np.zeros((1, 0))}, 1, plan, progress)
@@ -216,12 +221,10 @@ class Chunk(struct.PyTreeNode):
     Attributes:
         keys: of their starts and goals, [E].
         counted: which of them count; the others only fill the last chunk up, [E] bool.
-        start: number of the first one.
     """
 
     keys: jax.Array
     counted: jax.Array
-    start: jax.Array
 
 
 def _play_all(
@@ -248,15 +251,14 @@ def _play_all(
 
     program = jax.jit(play_side_by_side, static_argnums=2)
     size = min(plan.episodes, CHUNK_EPISODES)
-    width = min(count, max(1, CHUNK_ROWS // size))
+    width = 1 if is_hosted(env) else min(count, max(1, CHUNK_ROWS // size))
     outcomes: list[Outcome] = []
     for first in range(0, count, width):
         here = min(width, count - first)
         rows = np.minimum(np.arange(first, first + width), count - 1)
         block = jax.tree.map(lambda leaf, rows=rows: leaf[rows], policies)
         successes, valid, recordings = np.zeros(width, int), np.zeros(width, int), []
-        for chunk in _chunks(plan, size):
-            start = int(chunk.start)
+        for start, chunk in _chunks(plan, size):
             recorded = min(max(0, plan.recorded - start), size)
             successful, held, recording = program(block, chunk, recorded)
             successes += np.asarray(successful)
@@ -270,15 +272,20 @@ def _play_all(
     return outcomes
 
 
-def _chunks(plan: Plan, size: int) -> Iterator[Chunk]:
-    """The plan's episodes, `size` at a time. An episode's key depends on its number alone."""
+def _chunks(plan: Plan, size: int) -> Iterator[tuple[int, Chunk]]:
+    """The plan's episodes, `size` at a time, and the number of the first one.
+
+    An episode's key depends on its number alone.
+    """
     keys = jax.random.split(jax.random.key(plan.seed), plan.episodes)
     for start in range(0, plan.episodes, size):
         numbers = np.arange(start, start + size)
-        yield Chunk(
-            keys=keys[np.minimum(numbers, plan.episodes - 1)],
-            counted=jnp.asarray(numbers < plan.episodes),
-            start=jnp.asarray(start),
+        yield (
+            start,
+            Chunk(
+                keys=keys[np.minimum(numbers, plan.episodes - 1)],
+                counted=jnp.asarray(numbers < plan.episodes),
+            ),
         )
 
 

@@ -108,8 +108,8 @@ def comparisons(runs: Runs) -> list[Row]:
     does not hold it by the end of the shorter training counts as holding it there. The difference
     to such a run is larger than shown, and marked with < or >, and with ? where neither run holds
     it. The mean is marked likewise if all marks agree, and has no interval then; nor where all
-    differences are equal, since times are known to one evaluation only. The exact test and P(sooner)
-    are of the times as counted. Left out are pairs with fewer than two seeds in common,
+    differences are equal, since times are known to one evaluation only. The exact test and
+    P(sooner) are of the times as counted. Left out are pairs with fewer than two seeds in common,
     of which no run holds the success, or that left before it.
     """
     settings = runs_by_setting(runs)

@@ -5,6 +5,7 @@ Not `jax.scipy.stats.gaussian_kde`, whose kernel has the shape of the samples' c
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jax.scipy.special import logsumexp
 from jax.typing import ArrayLike
@@ -20,7 +21,26 @@ def log_density(
 
     Finite however far a point is from all samples.
     """
-    dimensions = samples.shape[-1]
-    squares = jnp.sum(jnp.square((points[..., None, :] - samples) / bandwidth), axis=-1)
-    normaliser = dimensions * (0.5 * math.log(2 * math.pi) + jnp.log(bandwidth))
-    return logsumexp(-0.5 * squares, axis=-1) - math.log(samples.shape[0]) - normaliser
+    count, dimensions = samples.shape
+    squares = _squares(points, samples, bandwidth)
+    return logsumexp(-0.5 * squares, axis=-1) - _normaliser(count, dimensions, bandwidth)
+
+
+def log_density_of_others(samples: Float[Array, "m n"], bandwidth: ArrayLike) -> Float[Array, " m"]:
+    """Logarithm of the density [m] at each sample [m, n] that the other samples suggest, m > 1.
+
+    What a sample adds to the density at its own place says nothing of how dense it is there.
+    """
+    count, dimensions = samples.shape
+    squares = _squares(samples, samples, bandwidth)
+    squares = jnp.where(jnp.eye(count, dtype=bool), jnp.inf, squares)
+    return logsumexp(-0.5 * squares, axis=-1) - _normaliser(count - 1, dimensions, bandwidth)
+
+
+def _squares(points: jax.Array, samples: jax.Array, bandwidth: ArrayLike) -> jax.Array:
+    """Squared distances [..., m] in bandwidths."""
+    return jnp.sum(jnp.square((points[..., None, :] - samples) / bandwidth), axis=-1)
+
+
+def _normaliser(count: int, dimensions: int, bandwidth: ArrayLike) -> jax.Array:
+    return math.log(count) + dimensions * (0.5 * math.log(2 * math.pi) + jnp.log(bandwidth))

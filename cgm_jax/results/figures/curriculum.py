@@ -15,6 +15,7 @@ from cgm_jax.results.figures.curves import draw_quartiles
 from cgm_jax.results.figures.labels import (
     counted_runs,
     line_text,
+    naming_array,
     remark_parts,
     remarks,
     setting_text,
@@ -78,12 +79,13 @@ def curriculum(rows: Rows) -> Figure:
 def _reported(runs: Sequence[TrainedRun]) -> list[str]:
     """Keys of a curriculum's report, less those that only name the rows of others."""
     keys = dict.fromkeys(key for row in rows_of(runs) for key in row.get("reported") or ())
-    return [
-        key
+    names = {
+        naming_array(key, np.size(row[key]), row)
+        for row in rows_of(runs)
         for key in keys
-        if not any(other.startswith(f"{key}_") for other in keys)
-        or not any(isinstance(row.get(key), list) for row in rows_of(runs))
-    ]
+        if isinstance(row.get(key), list)
+    }
+    return [key for key in keys if key not in names]
 
 
 def _labels(runs: Sequence[TrainedRun], names: Sequence[str]) -> list[str]:
@@ -152,9 +154,10 @@ def _name_rows(panel: Axes, rows: Rows, key: str, size: int) -> None:
     """Tick labels of a heat map: of masks what they keep, else the values that a row gives."""
     kind = key.partition("_")[0]
     shown = _shown_rows(size)
-    named = rows[-1].get(kind)
-    if isinstance(named, list) and len(named) == size:
+    if name := naming_array(key, size, rows[-1]):
+        named = rows[-1][name]
         texts = ["-" if named[i] is None else f"{named[i]:.3g}" for i in shown]
+        kind = name
     elif kind == "mask" and size == 1 << (size.bit_length() - 1):
         texts = [mask_label(int(i), size.bit_length() - 1) for i in shown]
         kind = "kept dimensions"

@@ -30,6 +30,25 @@ def setting_text(name: str, value: Any) -> str:
     return f"{name.replace('_', ' ')} {value_text(value)}"
 
 
+def naming_array(key: str, size: int, row: Mapping[str, Any]) -> str | None:
+    """The array of a row whose values name those of another one: `a` of `a_b`.
+
+    Args:
+        key: the other array's name.
+        size: how many values that has; `a` has as many.
+        row: of metrics.jsonl.
+
+    Returns:
+        The longest such name, or None.
+    """
+    words = key.split("_")
+    for count in range(len(words) - 1, 0, -1):
+        name = "_".join(words[:count])
+        if isinstance(row.get(name), list) and len(row[name]) == size:
+            return name
+    return None
+
+
 def value_text(value: Any) -> str:
     """A setting's value alone, as tick labels have it."""
     if isinstance(value, bool):

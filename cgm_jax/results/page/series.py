@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from cgm_jax.results.figures.labels import naming_array
 from cgm_jax.results.figures.masks import ALL_MASKS, mask_label
 from cgm_jax.results.figures.runs import ALWAYS, TrainedRun
 from cgm_jax.results.page.sweeps import is_finite
@@ -72,9 +73,9 @@ def _labels(name: str, size: int, shown: Sequence[int], row: Row) -> list[str]:
         return [mask_label(i, size.bit_length() - 1) for i in shown]
     if name == "subgoal_success":
         return [mask_label(1 << (size - 1 - i), size) for i in shown]
-    named = row.get(name.partition("_")[0])
-    if isinstance(named, list) and len(named) == size and all(map(is_finite, named)):
-        return [f"{named[i]:.3g}" for i in shown]
+    naming = naming_array(name, size, row)
+    if naming and all(map(is_finite, row[naming])):
+        return [f"{row[naming][i]:.3g}" for i in shown]
     return [str(i + 1) for i in shown]
 
 

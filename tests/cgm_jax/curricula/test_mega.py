@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cgm_jax.curricula.mega import MEGA, MEGAState, Memo, rarest_reachable
-from cgm_jax.curricula.parts.density import log_density
+from cgm_jax.curricula.parts.density import log_density, log_density_of_others
 from tests.cgm_jax.curricula.line import (
     SIZES,
     Line,
@@ -33,6 +33,14 @@ def test_densities_are_means_of_normal_densities(bandwidth: float) -> None:
     seen = expected > 1e-30
     np.testing.assert_allclose(ours[seen], np.log(expected[seen]), rtol=1e-3, atol=1e-3)
     assert np.isfinite(ours).all()
+
+
+def test_the_density_of_others_leaves_out_each_samples_own_kernel() -> None:
+    samples = np.random.default_rng(0).normal(size=(40, 2)).astype(np.float32)
+    ours = log_density_of_others(jnp.asarray(samples), 0.5)
+    for i, sample in enumerate(samples):
+        (expected,) = oracle_density(sample[None], np.delete(samples, i, axis=0), 0.5)
+        np.testing.assert_allclose(ours[i], np.log(expected), rtol=1e-3, atol=1e-3)
 
 
 def test_the_rarest_goal_within_reach_is_chosen_and_else_the_most_promising() -> None:
@@ -135,30 +143,37 @@ def test_omega_keeps_the_environments_goals_with_probability_alpha_if_they_can_b
     assert np.median(np.linalg.norm(goals, axis=1)) > 2.0  # of 100, the outermost
 
 
-def test_alpha_is_one_over_the_divergence_of_the_two_densities() -> None:
-    achieved = np.random.default_rng(0).normal(size=(400, 1, 1))
-    target = np.random.default_rng(1).normal(2.0, size=(200, 1))
-    curriculum = MEGA(density_samples=200, omega_bonus=2.0)
-    # Of one dimension; by draws of its own, so that only the mean is compared.
+def alpha(target: np.ndarray, achieved: np.ndarray, bonus: float) -> float:
+    """OMEGA's alpha where the environment draws `target` and replay achieved `achieved`, [m, n]."""
+    count, size = target.shape
+    curriculum = MEGA(density_samples=count, omega_bonus=bonus)
     goals = curriculum.sample(
-        curriculum.init(SIZES._replace(goal=1)),
+        curriculum.init(SIZES._replace(goal=size)),
         jax.random.key(0),
-        drawn_goals(np.zeros((4, 1))),
+        drawn_goals(np.zeros((4, size))),
         view(
-            achieved,
-            400,
-            np.zeros((4, 1)),
+            achieved[:, None],
+            len(achieved),
+            np.zeros((4, size)),
             value=lambda _, goal: goal[None, ..., 0] * 0.0,
             draw=lambda *_: jnp.asarray(target, jnp.float32),
         ),
     )
-    samples = achieved[:, 0]
-    standard = [(x - samples.mean()) / samples.std() for x in (target, samples)]
-    divergence = np.mean(
-        np.log(oracle_density(standard[0], standard[0], 0.1))
-        - np.log(np.maximum(oracle_density(standard[0], standard[1], 0.1), 1e-300))
-    )
-    np.testing.assert_allclose(1 / goals.memo.alpha, 2.0 + divergence, rtol=0.5)
+    return float(goals.memo.alpha)
+
+
+def test_alpha_is_one_over_the_divergence_of_the_two_distributions() -> None:
+    rng = np.random.default_rng(0)
+    achieved, target = rng.normal(0.0, 2.0, size=(2000, 1)), rng.normal(size=(2000, 1))
+    # Of normal distributions, to which densities with a bandwidth of 0.1 come near.
+    divergence = np.log(2.0) + 1 / 8 - 1 / 2
+    np.testing.assert_allclose(1 / alpha(target, achieved, bonus=2.0), 2.0 + divergence, rtol=0.02)
+
+
+@pytest.mark.parametrize("size", [3, 4])
+def test_alpha_is_one_where_the_environments_goals_are_what_is_achieved(size: int) -> None:
+    achieved, target = np.random.default_rng(size).normal(size=(2, 1000, size))
+    assert alpha(target, achieved, bonus=-3.0) == 1.0
 
 
 @pytest.mark.slow

@@ -62,14 +62,24 @@ def test_several_failures_are_named_in_order() -> None:
 
 def test_a_failed_run_stays_as_it_was_for_good() -> None:
     finite, bad, later = agent(), spoilt("critic", jnp.nan), spoilt("actor", 0.5)
-    failure, kept = freeze_if_failed(jnp.int32(0), finite, later)
+    learned = jnp.asarray(True)
+    failure, kept = freeze_if_failed(jnp.int32(0), finite, later, learned)
     assert int(failure) == 0
     assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5
     for first, second in ((bad, later), (later, bad)):
-        failure, kept = freeze_if_failed(jnp.int32(0), finite, first)
-        failure, kept = freeze_if_failed(failure, kept, second)
+        failure, kept = freeze_if_failed(jnp.int32(0), finite, first, learned)
+        failure, kept = freeze_if_failed(failure, kept, second, learned)
         assert int(failure) == CRITIC
     assert kept.actor["params"]["layer_1"]["bias"][0] == 0.5  # the last finite one
+
+
+def test_without_anything_to_learn_from_nothing_is_taken_and_nothing_fails() -> None:
+    finite, bad, later = agent(), spoilt("critic", jnp.nan), spoilt("actor", 0.5)
+    for new in (bad, later):
+        failure, kept = freeze_if_failed(jnp.int32(0), finite, new, jnp.asarray(False))
+        assert int(failure) == 0
+        for one, other in zip(jax.tree.leaves(kept), jax.tree.leaves(finite), strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_a_failed_run_logs_no_losses() -> None:

@@ -289,12 +289,19 @@ class VectorReward(Ruled):
         return achieved_goal - desired_goal
 
 
+class UndefinedAtTheGoal(Ruled):
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        off = desired_goal - achieved_goal
+        return off[0] / jnp.linalg.norm(off)
+
+
 REFUSED = {
     NoRange: "has goal_reward, so it needs reward_range",
     Both: "has both goal_tolerance and goal_success",
     ThreeTolerances: r"goal_tolerance of it has shape \(3,\), goals have \(2,\)",
     NoTolerance: "goal_tolerance of it is .*, not one number per dimension",
     VectorReward: r"goal_reward of it returns shape \(2,\), not a scalar",
+    UndefinedAtTheGoal: "goal_reward of it is nan where the goal is met exactly",
 }
 
 

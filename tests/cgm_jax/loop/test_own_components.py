@@ -58,6 +58,12 @@ class Claims(Full):
 
 
 @settings
+class Borrows(Full):
+    def report(self, state: Any) -> dict[str, jax.Array]:
+        return {"value": jnp.ones(())}
+
+
+@settings
 class Restructures(Full):
     def after_evaluation(self, state: Any, outcomes: Any, examined: Any = None) -> Any:
         return (jnp.zeros(()),)
@@ -70,6 +76,7 @@ class Restructures(Full):
         (Raises(), "curriculum: own.py:Own fails with ZeroDivisionError: by nothing"),
         (Grows(), r"curriculum: own.py:Own makes float32\[2\] of float32\[1\] in .curriculum"),
         (Claims(), "curriculum: own.py:Own reports success_rate, a name that is taken"),
+        (Borrows(), "curriculum: own.py:Own reports value, a name that is taken"),  # by the agent
         (Restructures(), "curriculum: own.py:Own returns a state of another structure"),
     ],
 )
@@ -101,6 +108,13 @@ class Unlogged(DDPG):
 
 
 @settings
+class Delayed(DDPG):
+    def train(self, state: Any, batches: Any, key: Any) -> Any:
+        state, info = super().train(state, batches, key)
+        return state, {**info, "actor_loss": info["actor_loss"][::2]}
+
+
+@settings
 class Mute(DDPG):
     logged: ClassVar[tuple[str, ...]] = ()
 
@@ -109,6 +123,8 @@ def test_an_agent_must_return_what_it_logs() -> None:
     layers: dict[str, Any] = {"hidden_layers": (16, 16)}
     with pytest.raises(SettingError, match=r"^agent: own.py:Own fails with KeyError: 'no_such'"):
         check(agent=Unlogged(**layers))
+    with pytest.raises(SettingError, match=r"^agent: what train logs are arrays of different"):
+        check(agent=Delayed(**layers))
     check(agent=Mute(**layers))
     check(agent=DDPG(**layers))
 

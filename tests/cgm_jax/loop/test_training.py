@@ -88,11 +88,13 @@ class Rescaled(PointMass):
 
 
 @pytest.mark.parametrize("unit", [2.0**10, 2.0**-17])
-def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float) -> None:
+@pytest.mark.parametrize("curriculum", ["cgm", "mega"])
+def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float, curriculum: str) -> None:
     # Powers of two, so that float32 scales exactly: about millimetres, and about 1e-5.
-    _, expected = epochs([tiny(seed=5)], trainer=make_trainer(Rescaled(), TINY))
+    hyper = tiny(seed=5, curriculum=curriculum)
+    _, expected = epochs([hyper], trainer=make_trainer(Rescaled(), TINY))
     env = Rescaled(unit=unit, distance_threshold=0.1 * unit)
-    _, metrics = epochs([tiny(seed=5)], trainer=make_trainer(env, TINY))
+    _, metrics = epochs([hyper], trainer=make_trainer(env, TINY))
     for one, other in zip(metrics, expected, strict=True):
         for name in ("success_rate", "subgoal_success", "critic_loss", "actor_loss", "value"):
             np.testing.assert_array_equal(one[name], other[name], name)
@@ -250,6 +252,15 @@ def test_an_evaluation_without_a_valid_episode_has_no_success_rate() -> None:
     state, metrics = jax.jit(trainer.evaluate)(state, tiny())
     assert np.isnan(float(metrics["success_rate"]))
     assert int(state.curriculum.subgoals.count) == 0
+
+
+def test_without_an_episode_to_learn_from_the_agent_stays_as_it_was() -> None:
+    trainer = make_trainer(AlwaysFaultyProbe((1.0,)), TINY)
+    first = trainer.init(tiny())
+    state = jax.jit(trainer.train)(first, tiny(), 1)
+    assert int(state.replay.inserted) == 0
+    for one, other in zip(bits(state.agent), bits(first.agent), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_the_filter_decides_which_episodes_are_relabelled() -> None:

@@ -97,6 +97,9 @@ def test_random_actions_are_uniform_and_follow_the_seed() -> None:
     assert other is not None
     np.testing.assert_array_equal(first.states.sensors, again.states.sensors)
     assert np.abs(first.desired_goal - other.desired_goal).max() > 0.01
+    fewer = evaluate_random(REACH, Plan(episodes=10, seed=0, recorded=10)).recording
+    assert fewer is not None
+    np.testing.assert_allclose(first.states.sensors[:, :10], fewer.states.sensors, atol=1e-6)
     steps = np.diff(grips(first), axis=0)[:, :, :2]
     # A full action moves the grip by about 3.2 cm; uniform ones have 1 / sqrt(3) of that.
     assert np.std(steps) == pytest.approx(0.032 / np.sqrt(3), rel=0.15)

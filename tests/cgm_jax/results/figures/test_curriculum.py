@@ -38,6 +38,24 @@ def test_levels_of_many_dimensions_are_a_heat_map_over_environment_steps() -> No
     assert panel.get_xlabel() == "env_steps (thousands)"
 
 
+def test_arrays_are_named_by_the_longest_name_that_is_an_array_as_long() -> None:
+    report = reporting(
+        start_x=[0.5, 1.5, 2.5],
+        start_x_rate=[0.1, 0.2, 0.3],
+        goal=[1.0, 2.0],  # and no array has this length whose values it could name
+        goal_share=0.4,
+        goal_size=[1.0, 2.0, 3.0],
+    )
+    shown = panels(curriculum(run([0.5], **report)))
+    # "start_x" names the rows of its rate; the others stand for themselves.
+    assert [ticks(panel) for panel in shown if panel.collections] == [
+        *(["0", "1"], ["0", "1", "2"], ["0.5", "1.5", "2.5"])
+    ]
+    assert [panel.get_ylabel() for panel in shown] == [
+        *("goal, by number", "goal share", "goal, by number", "start_x")
+    ]
+
+
 def test_without_values_for_its_rows_an_array_counts_them() -> None:
     (panel,) = panels(curriculum(run([0.5], **reporting(level_probability=[0.2, 0.8]))))
     assert panel.get_ylabel() == "level, by number"
