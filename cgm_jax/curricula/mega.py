@@ -7,13 +7,13 @@
 Candidates are drawn from the goals that replay achieved; p_ag and p_dg are kernel densities of
 achieved goals and of the environment's goals, standardised by the achieved ones. As in the authors'
 program (mrl): bandwidth 0.1, b = -3, KL as the mean over draws from p_dg; the cutoff falls by 1
-where at least 70 % of ten episodes succeed and rises by 1 where at most 30 % do, within
-[-(1 - gamma^(0.8 T)) / (1 - gamma), -3], gamma at most 0.99, and never below a candidate's lowest Q
-so far; if no candidate reaches it, that of the highest Q. What differs: success is that of the last
+where at least 70 % of ten episodes succeed and rises by 1 where at most 30 % do, within [-(1 -
+gamma^(0.8 T)) / (1 - gamma), -3], gamma at most 0.99, and never below a candidate's lowest Q so
+far; if no candidate reaches it, that of the highest Q. What differs: success is that of the last
 step, where mrl's is that of any step; Q is the mean over critics; mrl takes 500 candidates and
 10,000 goals behind a density, and asks for p_dg at the very goals that are behind it. That makes KL
-too large, by 4 for equal normal distributions of three dimensions and a thousand goals;
-here each goal is left out of its own density. mrl's random exploration after success ("go explore") is not
+too large, by 4 for equal normal distributions of three dimensions and a thousand goals; here each
+goal is left out of its own density. mrl's random exploration after success ("go explore") is not
 part of choosing goals and is left out. With a large `omega_bonus` OMEGA is MEGA.
 
 The cutoff and its limits are returns of rewards of -1 or 0, so that an environment with rewards of
