@@ -62,6 +62,7 @@ from cgm_jax.host.early_signals import end_on_early_signals as _end_on_early_sig
 _end_on_early_signals()  # before anything that takes a moment to import
 
 from cgm_jax.gymnasium.registration import register_fetch as _register_fetch  # noqa: E402
+from cgm_jax.machine import forking as _forking  # noqa: E402, F401 -- sees every fork from now on
 
 _register_fetch()
 

@@ -12,10 +12,10 @@ from brax.envs.base import State
 
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.gymnasium.arguments import check_fields
-from cgm_jax.envs.gymnasium.forking import check_not_forked
 from cgm_jax.envs.names import make_deferred
 from cgm_jax.envs.physics.choose import check_engine
 from cgm_jax.envs.physics.deferred import DeferredPhysics
+from cgm_jax.machine.forking import check_not_forked
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,28 @@ def run(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @can_fork
+def test_a_fork_is_refused_though_its_parent_has_made_no_environment_yet() -> None:
+    program = """
+import os
+import cgm_jax, gymnasium, jax.numpy
+
+jax.numpy.ones(3).sum()
+child = os.fork()
+if not child:
+    try:
+        gymnasium.make("cgm_jax/FetchReach-v0").reset(seed=0)
+    except RuntimeError as error:
+        os._exit(3 if "spawn" in str(error) else 4)
+    os._exit(0)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120
+    )
+    assert result.stdout.split() == ["3"], result.stderr
+
+
+@can_fork
 def test_jax_starts_with_the_first_reset_and_a_fork_after_it_is_refused() -> None:
     program = """
 import os

@@ -22,7 +22,8 @@ def check_not_forked() -> None:
     """Check that JAX can compute in this process.
 
     Raises:
-        RuntimeError: the process was forked from one in which JAX's backend had started.
+        RuntimeError: the process was forked from one in which this module was loaded and JAX's
+            backend had started.
     """
     if _forked_while_jax_ran:
         raise RuntimeError(f"JAX would hang in a process forked after it started; {HOW_TO_START}")
