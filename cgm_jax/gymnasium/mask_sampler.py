@@ -108,7 +108,7 @@ class MaskSampler:
 
     @property
     def full_goal_probability(self) -> float:
-        """Probability of drawing the full goal; near it beyond ten dimensions (mask_lookahead.py)."""
+        """Probability of drawing the full goal, of many dimensions nearly (mask_lookahead.py)."""
         return self._distribution.full_goal_probability
 
     def record(self, subgoal_success: ArrayLike) -> None:
