@@ -7,7 +7,6 @@ serves several policies, it begins again from their seeds; that is possible befo
 
 import contextlib
 import itertools
-import numbers
 import warnings
 from typing import Any
 
@@ -15,13 +14,12 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-ENTRIES = ("observation", "achieved_goal", "desired_goal")
+# Relative, since the worker's interpreter may not have cgm_jax.
+from .probe import ENTRIES, TaskError, action_bounds, entry_sizes, episode_length, play
+from .rule import Rule
+
 MAX_UNUSED = 4
 """Batches of one size that were reset but not stepped; older ones are given up."""
-
-
-class TaskError(Exception):
-    """An environment that cannot be trained on; the message is one line."""
 
 
 class Batch:
@@ -71,33 +69,21 @@ class Rows:
             TaskError: it cannot be trained on.
         """
         self._id = env_id
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                self._env: Any = gymnasium.make(env_id)
-        except gymnasium.error.Error as error:
-            line = str(error).partition("\n")[0]
-            raise TaskError(f"{line} (gymnasium:MODULE:ID imports a module first)") from None
         self._batches: dict[int, Batch] = {}
         self._idle: list[VectorEnv] = []
         self._tickets = itertools.count(1)
-        sizes = _sizes(self._env)
-        self._low, self._high = _action_bounds(self._env)
-        length = getattr(self._env.spec, "max_episode_steps", None)
-        if not isinstance(length, int) or length < 1:
-            raise TaskError(f"{env_id} has no max_episode_steps, the length of its episodes")
-        self.remarks: list[str] = []
-        goals, achieved, said = self._play(length)
-        self._choose_rule(goals, achieved, said)
-        self.facts = {
-            "observation_size": sizes["observation"],
-            "goal_size": sizes["desired_goal"],
-            "action_size": self._low.size,
-            "episode_length": length,
-            "distance_threshold": self._threshold if self._threshold else self._measured(goals[0]),
-            "remarks": self.remarks,
-        }
-        self._length = length
+        self._env = _made(env_id)
+        try:
+            self.facts = self._look()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close all environments, whatever they say to that."""
+        for env in (self._env, *self._idle, *(batch.env for batch in self._batches.values())):
+            with contextlib.suppress(Exception):
+                env.close()
 
     def reset(self, seeds: np.ndarray) -> tuple[int, Batch]:
         """Begin an episode in each row; returns its ticket."""
@@ -154,10 +140,27 @@ class Rows:
 
     def success(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
         """Whether goals [k, n] are achieved by the environment's own rule, [k] bool."""
-        if self._rewarded is None:
-            assert self._threshold is not None
-            return np.linalg.norm(achieved - desired, axis=-1) < self._threshold
-        return self._rewards(achieved, desired) == self._rewarded
+        return self._rule.success(achieved, desired)
+
+    def _look(self) -> dict[str, Any]:
+        sizes = entry_sizes(self._env)
+        self._low, self._high = action_bounds(self._env)
+        self._length = episode_length(self._env)
+        episode = play(self._env, self._length)
+        self._rule = Rule(self._env, episode)
+        remarks = [*episode.remarks]
+        if not self._rule.agrees(episode):
+            remarks.append(
+                f"success is judged by {self._rule.name} of {self._id}, not by is_success"
+            )
+        return {
+            "observation_size": sizes["observation"],
+            "goal_size": sizes["desired_goal"],
+            "action_size": self._low.size,
+            "episode_length": self._length,
+            "distance_threshold": self._rule.distance_threshold,
+            "remarks": remarks,
+        }
 
     def _release(self, ticket: int) -> None:
         self._idle.append(self._batches.pop(ticket).env)
@@ -172,105 +175,17 @@ class Rows:
                 env = gymnasium.make_vec(self._id, num_envs=count, vectorization_mode="sync")
         return env
 
-    def _play(self, length: int) -> tuple[np.ndarray, np.ndarray, list[bool | None]]:
-        """Goals and achieved goals [T, n] of an episode of random actions, and `is_success`."""
-        shown, _ = self._env.reset(seed=0)
-        self._env.action_space.seed(0)
-        goals, achieved, said = [], [], []
-        for _ in range(length):
-            shown, _, terminated, truncated, info = self._env.step(self._env.action_space.sample())
-            goals.append(np.asarray(shown["desired_goal"], np.float32))
-            achieved.append(np.asarray(shown["achieved_goal"], np.float32))
-            said.append(bool(info["is_success"]) if "is_success" in info else None)
-            if terminated or truncated:
-                break
-        return np.stack(goals), np.stack(achieved), said
 
-    def _choose_rule(
-        self, goals: np.ndarray, achieved: np.ndarray, said: list[bool | None]
-    ) -> None:
-        """Sparse `compute_reward`, or else the distance threshold; compared with `is_success`."""
-        threshold = _found(self._env, "distance_threshold")
-        is_number = isinstance(threshold, numbers.Real) and float(threshold) > 0.0
-        self._threshold = float(threshold) if is_number else None
-        self._rewarded: float | None = None
-        self._compute = _found(self._env, "compute_reward")
-        self._takes_many = True
-        if callable(self._compute):
-            self._takes_many = self._many_work(achieved, goals)
-            rewarded = self._rewards(goals, goals)
-            others = self._rewards(achieved, goals)
-            if len(set(rewarded)) == 1 and len({*rewarded, *others}) <= 2:
-                self._rewarded = float(rewarded[0])
-        if self._rewarded is None and self._threshold is None:
-            raise TaskError(
-                f"{self._id} has neither a compute_reward of two values nor a distance_threshold"
-            )
-        judged = self.success(achieved, goals)
-        if any(one is not None and one != mine for one, mine in zip(said, judged, strict=True)):
-            rule = "distance_threshold" if self._rewarded is None else "compute_reward"
-            self.remarks.append(f"success is judged by {rule} of {self._id}, not by is_success")
+def _made(env_id: str) -> Any:
+    """The environment.
 
-    def _many_work(self, achieved: np.ndarray, goals: np.ndarray) -> bool:
-        """Whether `compute_reward` takes goals [k, n] at once, with the same results."""
-        singly = [self._compute(a, d, {}) for a, d in zip(achieved, goals, strict=True)]
-        with contextlib.suppress(Exception):
-            together = np.asarray(self._compute(achieved, goals, {}))
-            return together.shape == (len(goals),) and np.array_equal(together, singly)
-        return False
-
-    def _rewards(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
-        if self._takes_many:
-            return np.asarray(self._compute(achieved, desired, {}))
-        pairs = zip(achieved, desired, strict=True)
-        return np.array([self._compute(one, other, {}) for one, other in pairs])
-
-    def _measured(self, goal: np.ndarray) -> float:
-        """How far one dimension may be off, at most, by the environment's own rule."""
-
-        def holds(offset: float, axis: int) -> bool:
-            moved = goal.copy()
-            moved[axis] += offset
-            return bool(self.success(moved[None], goal[None])[0])
-
-        reaches = []
-        for axis in range(goal.size):
-            low, high = 0.0, 1e-4
-            while holds(high, axis) and high < 1e4:
-                low, high = high, 2.0 * high
-            for _ in range(30):
-                middle = (low + high) / 2.0
-                low, high = (middle, high) if holds(middle, axis) else (low, middle)
-            reaches.append(low)
-        if not 0.0 < min(reaches) < 1e4:
-            raise TaskError(f"{self._id} has no distance_threshold, and none is to be measured")
-        return min(reaches)
-
-
-def _found(env: Any, name: str) -> Any:
-    """An attribute of an environment, of what it wraps, or of its task (as panda-gym has it)."""
-    for owner in (env.unwrapped, getattr(env.unwrapped, "task", None)):
-        if hasattr(owner, name):
-            return getattr(owner, name)
-    return None
-
-
-def _sizes(env: Any) -> dict[str, int]:
-    space = env.observation_space
-    if not isinstance(space, gymnasium.spaces.Dict) or not set(ENTRIES) <= set(space.spaces):
-        raise TaskError(f"{env.spec.id} is no goal environment: it lacks {', '.join(ENTRIES)}")
-    sizes = {}
-    for name in ENTRIES:
-        entry = space.spaces[name]
-        if not isinstance(entry, gymnasium.spaces.Box) or len(entry.shape) != 1:
-            raise TaskError(f"{name} of {env.spec.id} is {entry}, not numbers [n]")
-        sizes[name] = entry.shape[0]
-    return sizes
-
-
-def _action_bounds(env: Any) -> tuple[np.ndarray, np.ndarray]:
-    space = env.action_space
-    bounded = isinstance(space, gymnasium.spaces.Box) and space.is_bounded()
-    if not bounded or len(space.shape) != 1:
-        raise TaskError(f"actions of {env.spec.id} are {space}, not bounded numbers [n]")
-    return space.low, space.high
+    Raises:
+        TaskError: Gymnasium does not know it.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return gymnasium.make(env_id)
+    except gymnasium.error.Error as error:
+        line = str(error).partition("\n")[0]
+        raise TaskError(f"{line} (gymnasium:MODULE:ID imports a module first)") from None

@@ -5,10 +5,8 @@ whose bytes follow. Needs numpy and gymnasium; of cgm_jax only where the task's 
 against what its user has named (config/named.py).
 """
 
-# Run as a script, by an interpreter that may not have cgm_jax, so that rows.py is imported so.
-# pyright: reportMissingImports=false
-
 import importlib
+import importlib.util
 import json
 import os
 import sys
@@ -75,6 +73,7 @@ def main() -> None:
 
 def begin(message: dict[str, Any]) -> Any:
     """Import the task's module, if it has one, and look at its environment."""
+    rows = own_package().rows  # with Gymnasium, before the task's folders are searched
     from_here = message["path"] is not None
     sys.path[:0] = [one for one in message["path"] or [""] if one not in sys.path]
     if message["module"] and from_here:
@@ -83,7 +82,22 @@ def begin(message: dict[str, Any]) -> Any:
         import_gymnasium_module(message["name"], message["trust"])
     elif message["module"]:
         importlib.import_module(message["module"])
-    return Rows(message["id"])
+    return rows.Rows(message["id"])
+
+
+def own_package() -> Any:
+    """This folder as a package by itself, under a name that no module of the user's has.
+
+    By its own name it cannot be imported, since cgm_jax may be missing.
+    """
+    folder = Path(__file__).parent
+    spec = importlib.util.spec_from_file_location("_cgm_jax_hosted", folder / "__init__.py")
+    assert spec is not None
+    assert spec.loader is not None
+    package = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(package)
+    importlib.import_module(f"{spec.name}.rows")
+    return package
 
 
 def serve(rows: Any, op: str, arrays: list[np.ndarray]) -> list[np.ndarray]:
@@ -100,8 +114,4 @@ def serve(rows: Any, op: str, arrays: list[np.ndarray]) -> list[np.ndarray]:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parent))
-    from rows import Rows
-
-    sys.path.pop(0)
     main()

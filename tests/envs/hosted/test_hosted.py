@@ -126,19 +126,61 @@ def test_other_rewards_leave_it_to_the_distance_and_another_is_success_is_remark
     )
 
 
+@pytest.mark.parametrize("name", ["Still", "OneStep", "Constant"])
+def test_an_episode_that_shows_one_distance_alone_does_not_make_a_reward_a_rule(name: str) -> None:
+    rows = Rows(f"tests/{name}-v0")
+    assert rows.facts["distance_threshold"] == 0.1
+    off = np.array([[0.0, 0.0], [0.04, 0.0], [0.09, 0.0], [0.11, 0.0]], np.float32)
+    expected = [True, True, True, False]
+    assert rows.success(off, np.zeros((4, 2), np.float32)).tolist() == expected
+    assert rows.facts["remarks"] == []
+
+
+def test_a_reward_that_knows_no_goals_far_away_can_be_the_rule() -> None:
+    assert Rows("tests/Walled-v0").facts["distance_threshold"] == pytest.approx(0.2, abs=1e-4)
+
+
 REFUSED = {
     "CartPole-v1": "CartPole-v1 is no goal environment: it lacks observation",
     "Nothing-v0": r"Nothing.* \(gymnasium:MODULE:ID imports a module first\)",
     "tests/Endless-v0": "tests/Endless-v0 has no max_episode_steps",
     "tests/NoRule-v0": "has neither a compute_reward of two values nor a distance_threshold",
+    "tests/MovingGoal-v0": "step of tests/MovingGoal-v0 changes desired_goal, which holds for an",
+    "tests/OtherGoals-v0": (
+        r"achieved_goal of tests/OtherGoals-v0 has shape \(2,\) and desired_goal \(3,\)"
+    ),
+    "tests/OtherShape-v0": (
+        r"observation of tests/OtherShape-v0 has shape \(2,\), its space says \(4,\)"
+    ),
+    "tests/WholeActions-v0": "actions of tests/WholeActions-v0 are int64, not floating-point",
+    "tests/FarAway-v0": "of tests/FarAway-v0, 0.1, is less than float32 can tell apart at a",
 }
 
 
 @pytest.mark.parametrize("env_id", REFUSED)
+@pytest.mark.filterwarnings("ignore:.*The obs returned by the")
 def test_what_cannot_be_trained_on_is_refused_in_one_line(env_id: str) -> None:
     with pytest.raises(TaskError, match=REFUSED[env_id]) as refusal:
         Rows(env_id)
     assert "\n" not in str(refusal.value)
+
+
+REMARKED_ON = {
+    "CutShort": (
+        "{} itself cuts an episode off after 10 of its 25 steps; "
+        "episodes with which it does that are dropped"
+    ),
+    "Drawn": "reset and step of {} give other values for the same seed and action; what is trained",
+    "DrawnLater": "reset and step of {} give other values for the same seed and action; what is",
+    "NotFinite": "observation is not finite after step of {}; episodes in which that happens are",
+}
+
+
+@pytest.mark.parametrize("name", REMARKED_ON)
+@pytest.mark.filterwarnings("ignore:.*The obs returned by the")
+def test_what_is_hardly_meant_is_remarked_on(name: str) -> None:
+    (remark,) = Rows(f"tests/{name}-v0").facts["remarks"]
+    assert remark.startswith(REMARKED_ON[name].format(f"tests/{name}-v0"))
 
 
 def forward(observation: jax.Array, goal: jax.Array, noise: Any) -> jax.Array:

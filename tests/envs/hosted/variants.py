@@ -4,6 +4,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 
 from tests.examples.numpy_point_mass import NumpyPointMass
 
@@ -44,6 +45,116 @@ class NoRule(Dense):
     distance_threshold = None  # pyright: ignore[reportAssignmentType]
 
 
-for name in ("OneForSuccess", "Dense", "Ending", "NoRule"):
+class Still(Dense):
+    """Rewards that are distances, and a point that no action moves."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        shown, reward, terminated, truncated, _ = NumpyPointMass.step(self, 0.0 * action)
+        return shown, reward, terminated, truncated, {}
+
+
+class OneStep(Dense):
+    """Rewards that are distances, and one step to each episode."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        shown, reward, *_ = NumpyPointMass.step(self, action)
+        return shown, reward, True, False, {}
+
+
+class Constant(NumpyPointMass):
+    """Rewards that say nothing."""
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
+        return np.full(achieved_goal.shape[:-1], -1.0)
+
+
+class Walled(OneForSuccess):
+    """Knows no goals that are far away."""
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
+        if np.abs(achieved_goal).max() > 50.0:
+            raise IndexError("there is no such place")
+        return super().compute_reward(achieved_goal, desired_goal, info)
+
+
+class MovingGoal(NumpyPointMass):
+    """Has another goal after each step."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self._goal = self._goal + 0.01
+        return super().step(action)
+
+
+class OtherGoals(NumpyPointMass):
+    """Achieves goals of other numbers than it desires."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        sizes = {"observation": 4, "achieved_goal": 2, "desired_goal": 3}
+        self.observation_space = spaces.Dict(
+            {name: spaces.Box(-6.0, 6.0, (size,), np.float64) for name, size in sizes.items()}
+        )
+
+
+class OtherShape(NumpyPointMass):
+    """Shows less than it says."""
+
+    def _observation(self) -> Any:
+        return super()._observation() | {"observation": self._position}
+
+
+class WholeActions(NumpyPointMass):
+    """Takes whole numbers for actions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.action_space = spaces.Box(-1, 1, (2,), np.int64)
+
+
+class FarAway(NumpyPointMass):
+    """Has goals where float32 has no tenths."""
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        super().reset(**options)
+        self._goal = self._goal + 1e8
+        return self._observation(), {}
+
+
+class CutShort(NumpyPointMass):
+    """Takes fewer steps than it is registered with."""
+
+    episode_length = 10
+
+
+class Drawn(NumpyPointMass):
+    """Begins where no seed decides."""
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        super().reset(**options)
+        self._position = np.random.default_rng().uniform(-1.0, 1.0, 2)
+        return self._observation(), {}
+
+
+class DrawnLater(NumpyPointMass):
+    """Steps to where no seed decides."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return super().step(action + np.random.default_rng().uniform(-0.1, 0.1, 2))
+
+
+class NotFinite(NumpyPointMass):
+    """Shows no numbers after a step."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        shown, reward, terminated, truncated, info = super().step(action)
+        return shown | {"observation": np.full(4, np.nan)}, reward, terminated, truncated, info
+
+
+VARIANTS = [
+    *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, MovingGoal),
+    *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
+]
+for variant in VARIANTS:
+    name = variant.__name__
     gymnasium.register(f"tests/{name}-v0", f"{__name__}:{name}", max_episode_steps=25)
 gymnasium.register("tests/Endless-v0", f"{NumpyPointMass.__module__}:NumpyPointMass")
