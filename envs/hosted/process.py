@@ -1,5 +1,6 @@
 """The process of a Gymnasium environment, seen from this one."""
 
+import atexit
 import contextlib
 import os
 import subprocess
@@ -17,6 +18,11 @@ INTERPRETER = "CGM_JAX_GYMNASIUM_PYTHON"
 """Environment variable: the Python that has the task's packages, if it is not the running one."""
 
 WORKER = Path(__file__).with_name("worker.py")
+
+GRACE_S = 5.0
+"""What an ending process may take to close its environments, and again to obey a signal."""
+
+_running: "set[subprocess.Popen[bytes]]" = set()
 
 
 class HostedProcess:
@@ -48,7 +54,8 @@ class HostedProcess:
             )
         except OSError as error:
             raise ValueError(f"env: {INTERPRETER}={python}: {error.strerror}") from None
-        self._end = weakref.finalize(self, _end, self._process)
+        _running.add(self._process)
+        weakref.finalize(self, _end, self._process).atexit = False  # all end side by side there
         path = None if python else sys.path
         values = {"id": env_id, "module": module, "name": name, "trust": trust}
         self.facts = self._ask("begin", [], path=path, **values)[0]
@@ -68,10 +75,17 @@ class HostedProcess:
         assert self._process.stdout is not None
         with self._lock:
             try:
+                if self._process.stdin.closed:
+                    raise EOFError
                 send(self._process.stdin, op, arrays, **values)  # pyright: ignore
                 message, answer = receive(self._process.stdout)  # pyright: ignore
-            except (OSError, EOFError):
-                code = self._process.wait()
+            except BaseException as error:
+                # What has been asked may still be answered, which would pass for the next answer.
+                self._process.stdout.close()
+                _end(self._process)
+                if not isinstance(error, OSError | EOFError):
+                    raise
+                code = self._process.returncode
                 raise ValueError(f"env: the process of {self.name} ended with {code}") from None
         if message["op"] == "failed":
             text = message["text"]
@@ -85,9 +99,33 @@ def other_interpreter() -> str | None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    for stream in (process.stdin, process.stdout):
-        with contextlib.suppress(OSError):
-            if stream is not None:
-                stream.close()
-    process.terminate()
-    process.wait()
+    """Have a process close its environments and end; force it, if it does not."""
+    try:
+        for stop in (_tell_to_end, subprocess.Popen.terminate, subprocess.Popen.kill):
+            stop(process)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(GRACE_S)
+                break
+    except BaseException:  # such as Ctrl-C, by one who does not want to wait
+        process.kill()
+        raise
+    _running.discard(process)
+    with contextlib.suppress(OSError):
+        if process.stdout is not None:
+            process.stdout.close()  # last, since another thread may read until its end
+
+
+def _tell_to_end(process: "subprocess.Popen[bytes]") -> None:
+    """Close its requests, after which it closes its environments and ends."""
+    with contextlib.suppress(OSError):
+        if process.stdin is not None:
+            process.stdin.close()
+
+
+@atexit.register
+def _end_all() -> None:
+    """End what still runs; all at once, so that many take no longer than one."""
+    for process in list(_running):
+        _tell_to_end(process)
+    for process in list(_running):
+        _end(process)

@@ -5,16 +5,21 @@ whose bytes follow. Needs numpy and gymnasium; of cgm_jax only where the task's 
 against what its user has named (config/named.py).
 """
 
+import contextlib
 import importlib
 import importlib.util
 import json
 import os
+import signal
 import sys
 import traceback
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+
+CLOSING_S = 10
+"""What closing the environments may take, though nobody may be left to wait for it."""
 
 
 def send(stream: BinaryIO, op: str, arrays: list[np.ndarray], **values: Any) -> None:
@@ -46,29 +51,49 @@ def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[np.ndarray]]:
 
 
 def main() -> None:
-    """Serve until the other side ends."""
-    requests, replies = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the environment prints is no reply
+    """Serve until the other side ends, then close what was made."""
+    requests, replies = taken_pipes()
     sys.path.pop(0)  # this folder, whose files are nobody's modules
     rows = None
-    while True:
-        try:
+    try:
+        while True:
             message, arrays = receive(requests)
-        except EOFError:
-            return
-        try:
-            if message["op"] == "begin":
-                rows = begin(message)
-                send(replies, "facts", [], **rows.facts)
-            elif rows is not None:
-                send(replies, "done", serve(rows, message["op"], arrays))
-        except Exception as error:
-            known = type(error).__name__ in ("TaskError", "SettingError")
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            where = f" ({place.filename}, line {place.lineno})"
-            line = str(error).partition("\n")[0]
-            text = line if known else f"{type(error).__name__}: {line}{where}"
-            send(replies, "failed", [], text=text)
+            op, answer, values = "done", [], {}
+            try:
+                if message["op"] == "begin":
+                    rows = begin(message)
+                    op, values = "facts", rows.facts
+                else:
+                    answer = serve(rows, message["op"], arrays)
+            except Exception as error:
+                op, values = "failed", {"text": described(error)}
+            send(replies, op, answer, **values)
+    except (EOFError, BrokenPipeError):
+        pass  # the other side has ended
+    finally:
+        signal.alarm(CLOSING_S)  # ends this process, unless it has ended by then
+        with contextlib.suppress(OSError):
+            replies.close()
+        if rows is not None:
+            rows.close()
+
+
+def taken_pipes() -> tuple[BinaryIO, BinaryIO]:
+    """Requests and replies, out of reach of what the environment reads, prints or starts."""
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with Path(os.devnull).open("rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)  # what the environment prints is no reply
+    return requests, replies
+
+
+def described(error: Exception) -> str:
+    """What failed, in one line, and where, if it is none of our refusals."""
+    line = str(error).partition("\n")[0]
+    if type(error).__name__ in ("TaskError", "SettingError"):
+        return line
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {line} ({place.filename}, line {place.lineno})"
 
 
 def begin(message: dict[str, Any]) -> Any:

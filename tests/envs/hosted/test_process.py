@@ -1,17 +1,111 @@
 """The process of a Gymnasium environment: how it is asked, and how it ends."""
 
+import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from cgm_jax.config.named import BY_PROGRAM
-from cgm_jax.envs.hosted.process import HostedProcess
+from cgm_jax.envs.hosted import process as hosted
+from cgm_jax.envs.hosted.process import WORKER, HostedProcess
 
 MODULE = "tests.envs.hosted.variants"
+SEEDS = np.array([3, 1, 4], np.uint32)
 
 
 def started(env_id: str, module: str = MODULE) -> HostedProcess:
     return HostedProcess(f"gymnasium:{module}:{env_id}", env_id, module, BY_PROGRAM)
+
+
+def interrupted(*_: Any) -> Any:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("moment", ["send", "receive"])
+def test_an_interrupted_request_ends_the_process_and_no_later_one_gets_its_answer(
+    moment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = started("tests/Dense-v0")
+    off = np.array([[0.0, 0.0], [1.0, 0.0]], np.float32)
+    assert process.ask("success", off, 0.0 * off)[0].tolist() == [True, False]
+    with monkeypatch.context() as patch:
+        patch.setattr(hosted, moment, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            process.ask("reset", SEEDS)
+    assert process._process.returncode == 0
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"^env: the process of .*Dense-v0 ended with 0$"):
+            process.ask("success", off, 0.0 * off)
+
+
+def test_a_process_that_dies_is_said_to_have_ended() -> None:
+    process = started("tests/Dense-v0")
+    process._process.kill()
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"^env: the process of .*Dense-v0 ended with -9$"):
+            process.ask("reset", SEEDS)
+
+
+def test_at_its_end_all_is_closed_and_what_was_registered_for_the_exit_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CLOSING_FILE", str(tmp_path / "lines"))
+    process = started("tests/Closing-v0")
+    process.ask("reset", SEEDS[:1])
+    process.ask("reset", SEEDS[:1] + 1)
+    popen = process._process
+    del process  # the last reference
+    assert popen.returncode == 0
+    # One that was looked at, and one for each batch.
+    assert (tmp_path / "lines").read_text().split() == ["close"] * 3 + ["exit"] * 3
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [("Hanging", signal.SIGTERM), ("Stubborn", signal.SIGKILL)]
+)
+def test_an_environment_that_hangs_in_close_is_forced_to_end(
+    name: str, number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hosted, "GRACE_S", 1.0)
+    process = started(f"tests/{name}-v0")
+    popen = process._process
+    del process
+    assert popen.returncode == -number
+
+
+def test_several_are_all_told_to_end_before_one_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[str] = []
+
+    class Recorded:
+        returncode, stdout = 0, None
+
+        def __init__(self) -> None:
+            self.stdin = self
+
+        def close(self) -> None:
+            calls.append("close")
+
+        def wait(self, timeout: float) -> None:
+            calls.append(f"wait {timeout}")
+
+    monkeypatch.setattr(hosted, "_running", {Recorded(), Recorded()})
+    hosted._end_all()
+    assert calls[:2] == ["close", "close"]
+    assert calls.count("wait 5.0") == 2
+    assert hosted._running == set()
+
+
+def test_programs_that_an_environment_starts_have_no_part_in_the_messages() -> None:
+    process = started("tests/Reading-v0")  # it fails after 30 s where they have
+    assert process.facts["episode_length"] == 25
+    assert process.ask("reset", SEEDS)[0].shape == (3, 4)
 
 
 def test_a_module_may_be_called_as_a_file_of_ours_is(
@@ -20,3 +114,29 @@ def test_a_module_may_be_called_as_a_file_of_ours_is(
     (tmp_path / "rows.py").write_text(f"import {MODULE}\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     assert started("tests/Dense-v0", "rows").facts["goal_size"] == 2
+
+
+def request(env_id: str) -> bytes:
+    name = f"gymnasium:{MODULE}:{env_id}"
+    values = {"path": sys.path, "id": env_id, "module": MODULE, "name": name, "trust": BY_PROGRAM}
+    return json.dumps({"op": "begin", **values, "arrays": []}).encode() + b"\n"
+
+
+@pytest.mark.parametrize("env_id", ["NumpyPointMass-v0", "Nothing-v0"])
+def test_it_ends_without_a_word_where_nobody_takes_its_answer(env_id: str) -> None:
+    pipe = subprocess.PIPE
+    worker = subprocess.Popen([sys.executable, WORKER], stdin=pipe, stdout=pipe, stderr=pipe)
+    assert worker.stdout is not None
+    worker.stdout.close()
+    worker.stdout = None
+    _, errors = worker.communicate(request(env_id), timeout=60)
+    assert (worker.returncode, errors) == (0, b"")
+
+
+@pytest.mark.slow
+def test_an_environment_that_hangs_in_close_ends_though_nobody_is_left_to_force_it() -> None:
+    pipe = subprocess.PIPE
+    worker = subprocess.Popen([sys.executable, WORKER], stdin=pipe, stdout=pipe)
+    answer, _ = worker.communicate(request("tests/Hanging-v0"), timeout=120)
+    assert json.loads(answer)["op"] == "facts"
+    assert worker.returncode == -signal.SIGALRM

@@ -1,5 +1,11 @@
 """Goal environments that differ from the point mass in what a task is made of."""
 
+import atexit
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -150,9 +156,54 @@ class NotFinite(NumpyPointMass):
         return shown | {"observation": np.full(4, np.nan)}, reward, terminated, truncated, info
 
 
+class Closing(NumpyPointMass):
+    """Writes down that it is closed, and then fails; so it does when its process ends."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        atexit.register(self._write, "exit")
+
+    def close(self) -> None:
+        self._write("close")
+        raise RuntimeError("closed")
+
+    def _write(self, line: str) -> None:
+        with Path(os.environ["CLOSING_FILE"]).open("a") as file:
+            print(line, file=file)
+
+
+class Hanging(NumpyPointMass):
+    """Does not get closed."""
+
+    def close(self) -> None:
+        time.sleep(600.0)
+
+
+class Stubborn(Hanging):
+    """Does not obey a signal, either."""
+
+    def close(self) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        super().close()
+
+
+class Reading(NumpyPointMass):
+    """Starts a program that reads standard input, as itself does, and writes on standard output."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        subprocess.run(["head", "-c", "1"], check=True, timeout=30)
+        subprocess.run(["echo", "noise"], check=True, timeout=30)
+        try:
+            raise RuntimeError(f"standard input has {input()!r}")
+        except EOFError:
+            pass
+
+
 VARIANTS = [
     *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
+    *(Closing, Hanging, Stubborn, Reading),
 ]
 for variant in VARIANTS:
     name = variant.__name__
