@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from cgm_jax import envs
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups, run_of
+from cgm_jax.envs.hosted.task import HostedTask
 from cgm_jax.host import jobs as planning
 from cgm_jax.host import memory
 from cgm_jax.host.memory import (
@@ -19,6 +21,7 @@ from cgm_jax.host.memory import (
     estimate_memory,
     format_bytes,
     free_bytes,
+    not_counted,
     runs_that_fit,
     tree_bytes,
 )
@@ -192,6 +195,12 @@ def test_physics_that_xla_compiles_are_said_not_to_be_counted(
     (_, (note,)) = planning.plan_jobs(groups, jax.devices())
     assert note.endswith("of memory" + (NOT_COUNTED if large else ""))
     assert NOT_COUNTED.endswith("is not counted")
+
+
+def test_simulators_in_another_process_are_said_not_to_be_counted() -> None:
+    hosted: Any = object.__new__(HostedTask)
+    assert "more for its simulators" in not_counted(hosted)
+    assert not_counted(PointMass()) == ""
 
 
 @pytest.mark.parametrize(("engine", "compiled"), [("native", False), ("mjx", True)])
