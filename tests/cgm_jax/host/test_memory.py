@@ -198,7 +198,8 @@ def test_physics_that_xla_compiles_are_said_not_to_be_counted(
 
 
 def test_simulators_in_another_process_are_said_not_to_be_counted() -> None:
-    hosted: Any = object.__new__(HostedTask)
+    hosted: Any = object.__new__(HostedTask)  # one that no process stands behind
+    hosted.action_size, hosted.episode_length, hosted.distance_threshold = 4, 50, 0.05
     assert "more for its simulators" in not_counted(hosted)
     assert not_counted(PointMass()) == ""
 
