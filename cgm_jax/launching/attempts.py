@@ -30,6 +30,10 @@ MAX_FRUITLESS = 5
 LOCK_PATIENCE = 300.0
 """Seconds that an attempt waits for one before it that still trains, on a node believed lost."""
 
+ELSEWHERE = os.sep
+"""Where a child starts if the directory that it should start in is not there: Python imports from
+where it is started, and nobody else can have put anything here."""
+
 POLL_SECONDS = 0.2
 ENDING_SECONDS = 20.0
 """From SIGTERM to the end of a child, at most; a sweep takes ten."""
@@ -88,7 +92,7 @@ class Order:
         out: the part's run directory.
         record: file of its attempts.
         log: file of the child's output.
-        cwd: directory in which the child starts, if it is there.
+        cwd: directory in which the child starts, if it is there; else that is `ELSEWHERE`.
         cores: how many to hold the child to; None for all.
         environment: variables to add to those of the machine.
         session: whether the child gets a session of its own, apart from the terminal's signals.
@@ -175,7 +179,6 @@ class Attempt:
         order = self._order
         self._begun()
         self._cores = Cores(order.cores)
-        cwd = order.cwd if Path(order.cwd).is_dir() else None
         try:
             with _log(order.log) as log, self._cores.inherited(), _warnings_blocked():
                 self._child = subprocess.Popen(
@@ -183,7 +186,7 @@ class Attempt:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=log,
-                    cwd=cwd,
+                    cwd=order.cwd if os.path.isdir(order.cwd) else ELSEWHERE,  # noqa: PTH112
                     env={**os.environ, **order.environment},
                     start_new_session=order.session,
                 )

@@ -124,7 +124,8 @@ def _make_attempt() -> Callable[..., int]:
                 raise FileNotFoundError(f"the {what} {path} is not there on {host}")
         child = subprocess.Popen(
             [interpreter, "-m", "cgm_jax.launching.attempts", order],
-            cwd=cwd if os.path.isdir(cwd) else out,  # noqa: PTH112
+            # Not in the directory of the launch: Python imports from where it is started.
+            cwd=cwd if os.path.isdir(cwd) else os.sep,  # noqa: PTH112
             env={**os.environ, **carried},
         )
         try:

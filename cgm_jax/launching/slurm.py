@@ -11,6 +11,7 @@ where SLURM keeps no accounts, and how it ended the part's own record (record.py
 
 import importlib.util
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,7 +23,14 @@ from typing import Any
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.exit_codes import ExitCode
-from cgm_jax.launching.attempts import MAX_FRUITLESS, Attempt, Order, Step, next_step
+from cgm_jax.launching.attempts import (
+    ELSEWHERE,
+    MAX_FRUITLESS,
+    Attempt,
+    Order,
+    Step,
+    next_step,
+)
 from cgm_jax.launching.directory import Launch, Resources, carried_environment
 from cgm_jax.launching.record import append_event, events, fruitless_attempts, last_code
 from cgm_jax.launching.supervision import Ended
@@ -121,6 +129,7 @@ class Slurm:
             stderr_to_stdout=True,
             # Steps do not inherit it since SLURM 22.05.
             srun_args=[f"--cpus-per-task={self._cores}"],
+            setup=[_entering(Path.cwd())],
             additional_parameters={"requeue": True, **self._sbatch},
             **{name: value for name, value in optional.items() if value},
         )
@@ -225,6 +234,15 @@ def _new_folder(directory: Path) -> Path:
         return Path(tempfile.mkdtemp(dir=directory / SLURM))
     except OSError as error:
         raise SettingError(f"out: cannot write to {directory}: {error.strerror}") from None
+
+
+def _entering(directory: Path) -> str:
+    """A line of a job's script that enters a directory, or `ELSEWHERE` if it is not there.
+
+    SLURM goes to /tmp then, where anybody may have put what Python imports from where it is
+    started.
+    """
+    return f"cd -- {shlex.quote(str(directory))} 2>/dev/null || cd {shlex.quote(ELSEWHERE)}"
 
 
 def job_states() -> dict[str, str]:

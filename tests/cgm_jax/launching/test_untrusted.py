@@ -4,6 +4,10 @@ import json
 import os
 import shutil
 import stat
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +16,8 @@ import pytest
 from cgm_jax import launch as program
 from cgm_jax.config import named
 from cgm_jax.config.fields import SettingError
-from cgm_jax.launching import slurm
+from cgm_jax.launching import ray, slurm
+from cgm_jax.launching.attempts import Attempt, Order
 from cgm_jax.launching.directory import Launch, Resources
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.launching.launches import SMOKE
@@ -142,6 +147,45 @@ def test_no_link_in_a_launch_leads_out_of_it(
     assert not planned
 
 
+def by_attempt(order: Order) -> int:
+    return Attempt(order).run()
+
+
+def by_ray(order: Order) -> int:
+    """As a task of Ray does, on a node that has this checkout elsewhere."""
+    place, carried = str(Path(order.out).parents[1]), {"PYTHONPATH": str(ROOT)}
+    return ray._make_attempt()(sys.executable, order.to_json(), carried, order.cwd, place)
+
+
+@pytest.mark.parametrize("make", [by_attempt, by_ray])
+def test_where_the_working_directory_is_not_there_nothing_of_the_launch_runs(
+    make: Callable[[Order], int], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show = "import json, os; print(os.getcwd())"
+    monkeypatch.setattr(Launch, "command", lambda *_: [sys.executable, "-c", show])
+    launch, ran = Launch(folder / "out", "ray", 1, "smoke", (), Resources()), folder / "ran"
+    launch.path.mkdir()
+    launch.write()
+    for theirs in ("json.py", "cgm_jax/__init__.py", "cgm_jax/launching/attempts.py"):
+        (launch.path / theirs).parent.mkdir(parents=True, exist_ok=True)
+        (launch.path / theirs).write_text(f"open({str(ran)!r}, 'w')\n")
+    monkeypatch.chdir(launch.path)
+    order = launch.order(1, None)
+    assert make(replace(order, cwd=str(folder / "gone"))) == 0
+    assert launch.log(1).read_text() == "/\n"
+    assert not ran.exists()
+    assert make(replace(order, cwd=str(folder))) == 0  # the user's own counts, where it is
+    assert launch.log(1).read_text() == f"/\n{folder}\n"
+
+
+def test_jobs_of_slurm_start_where_nobody_else_has_put_anything(folder: Path) -> None:
+    (folder / "it's here").mkdir()
+    for directory, entered in ((folder / "it's here", folder / "it's here"), (folder / "a", "/")):
+        script = f"{slurm._entering(directory)}\npwd"
+        shell = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
+        assert (shell.stdout, shell.stderr) == (f"{entered}\n", "")
+
+
 def test_jobs_of_slurm_unpickle_nothing_that_lay_in_the_directory_before(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,6 +201,7 @@ def test_jobs_of_slurm_unpickle_nothing_that_lay_in_the_directory_before(
         engines = [slurm.Slurm(launch.resources) for _ in range(2)]
         for engine in engines:
             engine.begin(launch)
+    assert engines[0]._executor.parameters["setup"] == [slurm._entering(folder)]
     places = [engine._executor.folder for engine in engines]
     assert len({*places}) == 2
     for place in places:
@@ -187,7 +232,7 @@ def test_a_merged_launch_with_damaged_metrics_is_refused(folder: Path, text: str
     launch = Launch(folder / "out", "local", 2, "smoke", (), Resources())
     launch.path.mkdir()
     launch.write()
-    (launch.path / "config.json").write_text("{}")
+    (launch.path / "config.json").write_text('{"format": 2, "groups": [], "parts": []}')
     (launch.path / "metrics.jsonl").write_text(text)
     with pytest.raises(SettingError, match=f"metrics.jsonl is damaged: .*{ROWS[text]}"):
         program.main(["--resume", "out"])
