@@ -56,7 +56,7 @@ class SettingsFile(NamedTuple):
         """
         for kind in (kind for kind in NAMES if kind not in but):
             for text in self.named(kind):
-                if isinstance(text, str) and is_own(text):
+                if is_own(text):
                     require_named(kind, text)
 
 
@@ -122,11 +122,24 @@ def _settings(path: Path, entries: Mapping[str, Any]) -> SettingsFile:
             raise SettingError(f"config: {path} holds {name} twice")
         if name != "preset":
             grid[name] = list(value) if isinstance(value, list) else [value]
+    _check_names(path, grid)
     if "seeds" in grid:
         if "seed" in grid:
             raise SettingError(f"seeds: {path} holds seed as well")
         grid["seed"] = list(range(_seeds(path, grid.pop("seeds"))))
     return SettingsFile(preset, grid)
+
+
+def _check_names(path: Path, grid: Grid) -> None:
+    """Check that what a file names is text, before anything is looked up by it.
+
+    Raises:
+        SettingError: it is not.
+    """
+    for kind in NAMES:
+        for value in grid.get(kind, ()):
+            if not isinstance(value, str):
+                raise SettingError(f"{kind}: {value!r:.40} in {path} is not of type str")
 
 
 def _seeds(path: Path, counts: Sequence[Any]) -> int:

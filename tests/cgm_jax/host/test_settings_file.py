@@ -151,6 +151,19 @@ def test_what_is_wrong_with_a_file_is_one_line(
         groups_of(*words, "--config", written(tmp_path / name, text))
 
 
+@pytest.mark.parametrize(
+    "value", ["3", "true", "0.5", '["cgm", 3]', '[["x"]]', "[{a = 1}]", "2020-01-01", "[[]]"]
+)
+@pytest.mark.parametrize("name", ["env", "curriculum", "agent", "relabelling"])
+@pytest.mark.parametrize("words", [[], ["--curriculum", "full", "--env", "push"]])
+def test_a_settings_file_whose_names_are_none_is_refused(
+    name: str, value: str, words: list[str], tmp_path: Path
+) -> None:
+    file = written(tmp_path / "a.toml", f"{name} = {value}")
+    with pytest.raises(SettingError, match=rf"^{name}: .* in {file} is not of type str$"):
+        groups_of("--preset", "smoke", "--config", file, *words)
+
+
 def test_neither_pipes_nor_links_of_a_run_directory_are_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "config.json")
     for path in (tmp_path, tmp_path / "config.json"):
