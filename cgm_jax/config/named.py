@@ -107,6 +107,14 @@ def label(text: str) -> str:
     return f"{Path(place).name.removesuffix('.py')}-{attribute}" if place else text
 
 
+def portable(text: str) -> str:
+    """A name that is the same wherever a file lies: FILE.py:NAME without FILE's folder."""
+    if not _is_file(text):
+        return text
+    place, _, attribute = text.rpartition(":")
+    return f"{Path(place).name}:{attribute}"
+
+
 def load_named(setting: str, text: str) -> Any:
     """Load the function or class that `text` names.
 

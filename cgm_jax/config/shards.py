@@ -9,9 +9,12 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, swept_settings
+from cgm_jax.config.grid import Group, Values, swept_settings
+from cgm_jax.config.named import portable
 
 MAX_PARTS = 10_000
 
@@ -23,7 +26,8 @@ class Shard:
     Attributes:
         part: its number, from 1.
         parts: how many there are.
-        sweep: SHA-256 of the names and settings of all runs of the whole sweep, in order.
+        sweep: SHA-256 of the names and settings of all runs of the whole sweep, in order; see
+            `digest`.
         swept: names of the settings in which those differ.
     """
 
@@ -63,7 +67,7 @@ def cut(groups: Sequence[Group], part: int, parts: int) -> tuple[list[Group], Sh
     if parts > count:
         runs = "1 run" if count == 1 else f"{count} runs"
         raise SettingError(f"shard: {parts} parts of {runs} are too many; give at most {count}")
-    shard = Shard(part, parts, _digest(groups), tuple(swept_settings(groups)))
+    shard = Shard(part, parts, digest(groups), tuple(swept_settings(groups)))
     return piece(groups, part, parts), shard
 
 
@@ -80,6 +84,25 @@ def piece(groups: Sequence[Group], part: int, parts: int) -> list[Group]:
     return pieces
 
 
-def _digest(groups: Sequence[Group]) -> str:
-    runs = [[run.name, run.values] for group in groups for run in group.runs]
+def digest(groups: Sequence[Group]) -> str:
+    """What tells a whole sweep from others, on whichever machine a part of it is trained.
+
+    Files of the user's own count by their names, not by the folders in which they lie: what they
+    hold is compared when parts are merged. Earlier versions had the folders in it, see
+    `former_digest`, so that the two differ where there are such files, and are the same elsewhere.
+    """
+    return _hashed([[run.name, _portable(run.values)] for group in groups for run in group.runs])
+
+
+def former_digest(groups: Sequence[Group]) -> str:
+    """The same as earlier versions have recorded it; a part that has it is known by it again."""
+    return _hashed([[run.name, run.values] for group in groups for run in group.runs])
+
+
+def _portable(values: Values) -> Values:
+    own = {kind: portable(values[kind]) for kind in NAMES if kind in values}
+    return {**values, **own}
+
+
+def _hashed(runs: Any) -> str:
     return hashlib.sha256(json.dumps(runs, sort_keys=True).encode()).hexdigest()

@@ -1,5 +1,6 @@
 """From groups of runs to an exit code: what sweep and train have in common."""
 
+import dataclasses
 import itertools
 import sys
 import time
@@ -14,6 +15,7 @@ import numpy as np
 from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
+from cgm_jax.config.shards import Shard
 from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, owns_process, print_restored
 from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
@@ -93,6 +95,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
                     directory.config.write(groups, asked.preset, device, asked.shard, asked.origin)
                 else:
                     notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
+                    _record_shard(directory, asked.shard)
                 print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
                 how = _how_to_resume(out, options.track)
                 interruption.last_words = f"{STOPPED_AT_ONCE}; {how}"
@@ -202,7 +205,8 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
         now, then = asked.origin or "nothing", before or "nothing"
         raise SettingError(f"from: {out} was begun from {then}, not from {now}")
     recorded = directory.config.groups()
-    if directory.config.shard() != asked.shard:
+    shard = directory.config.shard()
+    if shard != asked.shard and (shard is None or shard != asked.former_shard):
         raise SettingError(f"out: {out} already holds another part, or a whole sweep")
     check_same(out, recorded, asked.groups)
     return recorded
@@ -238,6 +242,20 @@ def _notes_on_resuming(
         changed.append(f"epochs {before} (now {now})")
     directory.config.record_resumption(changed, moved, epochs)
     return notes
+
+
+def _record_shard(directory: RunDirectory, shard: Shard | None) -> None:
+    """Record which part a directory holds as this version does, so that it merges with new ones.
+
+    Args:
+        directory: of a part, or of a whole sweep.
+        shard: what was asked for; None if that was not said.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if shard is not None and directory.config.shard() != shard:
+        directory.config.replace({**directory.config.read(), "shard": dataclasses.asdict(shard)})
 
 
 def _train(

@@ -2,7 +2,7 @@
 
 figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
 page/          sweeps as one HTML file, to be read in a browser
-merging.py     parts of a sweep to one
+merging.py     parts of a sweep to one; same_names.py names of own code in them
 policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for,
                chosen.py the policies that were chosen
 onnx_model.py  a policy as an ONNX model

@@ -19,6 +19,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.shards import Shard
 from cgm_jax.machine.commands import shell_command
+from cgm_jax.results.same_names import with_same_names
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.storage.arrays import open_arrays
 from cgm_jax.storage.checkpoints import (
@@ -84,7 +85,7 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
         shards[path] = shard
     _check_complete(list(shards.values()))
     parts = [_read_part(path, directory, shards[path]) for path, directory in opened]
-    return sorted(parts, key=lambda part: part.shard.part)
+    return with_same_names(sorted(parts, key=lambda part: part.shard.part))
 
 
 def _check_complete(shards: Sequence[Shard]) -> None:
@@ -165,8 +166,16 @@ def differences(parts: Sequence[Part]) -> list[str]:
     return [
         name
         for name in BITS
-        if len({json.dumps(part.config.get(name), sort_keys=True) for part in parts}) > 1
+        if len({json.dumps(_compared(part, name), sort_keys=True) for part in parts}) > 1
     ]
+
+
+def _compared(part: Part, name: str) -> Any:
+    """An entry of a part's config; of files, wherever they lie, what they are called and hold."""
+    entry = part.config.get(name)
+    if name != "files" or not isinstance(entry, dict):
+        return entry
+    return sorted([Path(path).name, str(digest)] for path, digest in entry.items())
 
 
 def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:

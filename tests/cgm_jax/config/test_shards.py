@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
-from cgm_jax.config.shards import cut, parse_shard
-from cgm_jax.host.asked import Asked
-from cgm_jax.host.session import _recorded_groups
+from cgm_jax.config.shards import cut, digest, former_digest, parse_shard
+from cgm_jax.host.asked import Asked, asked_for
+from cgm_jax.host.command_line import parse
+from cgm_jax.host.session import _record_shard, _recorded_groups
 from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.sweeps import POINT_MASS
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +59,50 @@ def test_a_part_knows_the_whole(groups: list[Group]) -> None:
     assert fewer.swept == ()
     other = build_groups("smoke", {"kappa": [4.5], "seed": [0, 1, 2, 3, 4]})
     assert cut(other, 1, 5)[1].sweep != fewer.sweep
+
+
+def own_groups(folder: Path) -> list[Group]:
+    """Two runs of an environment of the user's own that lies in a folder."""
+    file = folder / "sharded_point.py"
+    folder.mkdir(exist_ok=True)
+    shutil.copy(POINT_MASS.partition(":")[0], file)
+    return build_groups("smoke", {"env": [f"{file}:PointMass"], "kappa": [4.0], "seed": [0, 1]})
+
+
+def test_parts_belong_together_wherever_their_own_code_lies(
+    groups: list[Group], tmp_path: Path
+) -> None:
+    one, other = (cut(own_groups(tmp_path / name), 1, 2)[1] for name in "ab")
+    assert one == other
+    assert digest(groups) == former_digest(groups)  # parts of ours from earlier versions count
+    assert digest(own_groups(tmp_path / "a")) != former_digest(own_groups(tmp_path / "a"))
+    renamed = build_groups("smoke", {"env": ["reach"], "kappa": [4.0], "seed": [0, 1]})
+    assert cut(renamed, 1, 2)[1] != one
+
+
+def test_a_part_of_an_earlier_version_is_known_again_and_recorded_as_a_new_one(
+    tmp_path: Path,
+) -> None:
+    whole = own_groups(tmp_path / "a")
+    pieces, shard = cut(whole, 2, 2)
+    former = dataclasses.replace(shard, sweep=former_digest(whole))
+    with RunDirectory.claimed(tmp_path / "part", fresh=True) as directory:
+        directory.config.write(pieces, "smoke", "cpu", shard=former)
+        words = ["--preset", "smoke", "--env", str(pieces[0].runs[0].values["env"])]
+        words += ["--kappa", "4", "--seeds", "2", "--shard", "2/2"]
+        asked = asked_for(parse(sweep.SweepOptions, words, ""))
+        assert asked.shard == shard
+        assert _recorded_groups(directory.path, asked, {}) == pieces
+        _record_shard(directory, asked.shard)
+        assert directory.config.shard() == shard
+        assert directory.config.groups() == pieces
+        before = directory.config.read_bytes()
+        _record_shard(directory, None)  # as with --resume
+        assert directory.config.read_bytes() == before
+    with RunDirectory.claimed(tmp_path / "whole", fresh=True) as directory:
+        directory.config.write(pieces, "smoke", "cpu")
+    with pytest.raises(SettingError, match="already holds another part, or a whole sweep"):
+        _recorded_groups(directory.path, asked, {})
 
 
 def test_more_parts_than_runs_are_refused_in_every_part(groups: list[Group]) -> None:

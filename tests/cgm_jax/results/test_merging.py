@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shlex
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import pytest
 from cgm_jax import merge
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, build_groups
+from cgm_jax.config.named import load_named, name_now
 from cgm_jax.config.shards import cut
 from cgm_jax.results import figures
 from cgm_jax.storage.arrays import write_arrays
@@ -24,8 +26,9 @@ from cgm_jax.storage.metrics import Row, to_lines
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.results.figures import made
-from tests.cgm_jax.sweeps import rows
+from tests.cgm_jax.sweeps import POINT_MASS, rows
 
+POINT_MASS_FILE = Path(POINT_MASS.partition(":")[0])
 EPOCHS = 2
 OPTIONS = {"curriculum": ["cgm", "full"], "kappa": [4.0], "seed": [0, 1, 2], "epochs": [EPOCHS]}
 
@@ -133,6 +136,46 @@ def test_each_part_keeps_what_it_was_trained_with(
     merged = json.loads((tmp_path / "out" / "config.json").read_text())
     assert [part["versions"]["numpy"] == "1.0" for part in merged["parts"]] == [False, True, False]
     assert "shard" not in merged
+
+
+def parts_with_own_code(tmp_path: Path, texts: tuple[str, str]) -> tuple[list[Path], list[str]]:
+    """Two parts of a sweep with an environment that has another folder, and a text, for each."""
+    made_parts, names = [], []
+    for part, text in enumerate(texts, start=1):
+        name = tmp_path / f"home{part}" / "merged_point.py"
+        name.parent.mkdir()
+        name.write_text(text)
+        names.append(f"{name}:PointMass")
+        groups = build_groups("smoke", {**OPTIONS, "env": [names[-1]]})
+        name_now(names[-1])
+        load_named("env", names[-1])
+        made_parts.append(train(tmp_path / f"own{part}", groups, part, 2, env=names[-1]))
+    return made_parts, names
+
+
+def test_a_file_that_lay_elsewhere_for_each_part_has_one_name_in_the_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = POINT_MASS_FILE.read_text()
+    own, (name, other) = parts_with_own_code(tmp_path, (text, text))
+    shutil.rmtree(Path(other).parent)  # of another machine
+    assert run(*own, "--out", tmp_path / "out") == 0
+    assert "bits may differ" not in capsys.readouterr().err
+    groups = RunDirectory.open(tmp_path / "out").config.groups()
+    assert {one.values["env"] for group in groups for one in group.runs} == {name}
+    assert {entry["env"] for entry in rows(tmp_path / "out")} == {name}
+    merged = json.loads((tmp_path / "out" / "config.json").read_text())
+    folders = [Path(path).parent for part in merged["parts"] for path in part["files"]]
+    assert folders == [Path(name).parent, Path(other).parent]
+
+
+def test_other_bytes_in_a_file_of_the_same_name_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = POINT_MASS_FILE.read_text()
+    own, _ = parts_with_own_code(tmp_path, (text, f"{text}# edited\n"))
+    assert run(*own, "--out", tmp_path / "out") == 0
+    assert "bits may differ: parts differ in files\n" in capsys.readouterr().err
 
 
 def test_runs_that_diverged_are_told_as_one_sweep_would(tmp_path: Path) -> None:
