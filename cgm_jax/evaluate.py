@@ -28,6 +28,7 @@ from cgm_jax.pretrained import pretrained_policy
 from cgm_jax.results.chosen import chosen_policies, named_code
 from cgm_jax.results.plan import Plan, mask_words
 from cgm_jax.results.statistics import wilson_interval
+from cgm_jax.storage.looking import is_directory
 
 if TYPE_CHECKING:
     from cgm_jax.host.progress import CountProgress
@@ -162,7 +163,7 @@ def _check(options: EvaluateOptions) -> None:
 def _check_video(path: Path, width: int) -> None:
     if path.suffix not in VIDEO_FORMATS:
         raise SettingError(f"video: {path} ends neither in .mp4 nor in .gif")
-    if not path.parent.is_dir():
+    if not is_directory("video", path.parent):
         raise SettingError(f"video: {path.parent} is no directory")
     if width % WIDTH_STEP or not WIDTH_STEP <= width <= MAX_WIDTH:
         bounds = f"a multiple of {WIDTH_STEP} within [{WIDTH_STEP}, {MAX_WIDTH}]"
@@ -191,7 +192,7 @@ def _evaluate(options: EvaluateOptions, plan: Plan) -> "dict[str, Outcome]":
             settings = Settings(env=named["env"][0])
             return {"random": evaluate_random(settings, plan, progress.show)}
     source = options.source
-    if source is not None and source.is_dir():
+    if source is not None and is_directory("source", source):
         print_restored(source)
     policies = chosen_policies(source, options.pretrained, options.run, named)
     with CountProgress("episodes") as progress:

@@ -17,6 +17,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.pretrained import NAMES as PRETRAINED
 from cgm_jax.pretrained import pretrained_policy
+from cgm_jax.storage.looking import is_directory, is_ordinary_file
 
 ONNX = ".onnx"
 
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if find_spec("onnx") is None:
         raise SettingError("onnx: the package onnx is missing; pip install '.[onnx]'")
     out = options.out
-    if out is not None and not out.is_dir():
+    if out is not None and not is_directory("out", out):
         raise SettingError(f"out: {out} is no directory")
     from cgm_jax.results.onnx_model import onnx_model
     from cgm_jax.storage.files import replacing
@@ -83,7 +84,7 @@ def _files(options: ExportOptions) -> list[Path]:
         return [pretrained_policy(options.pretrained)]
     source = options.source
     assert source is not None
-    if source.is_file():
+    if is_ordinary_file("source", source):
         return [source]
     from cgm_jax.storage.layout import check_parts
 

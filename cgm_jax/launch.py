@@ -15,11 +15,13 @@ from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import new_directory
 from cgm_jax.launching.check import check_sweep
-from cgm_jax.launching.directory import ANY_CLUSTER, LAUNCH, Launch, absolute_path
+from cgm_jax.launching.directory import ANY_CLUSTER, Launch, absolute_path
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.storage.layout import LAUNCH
+from cgm_jax.storage.looking import is_there
 from cgm_jax.storage.run_directory import RunDirectory
 
 
@@ -29,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     place = words.index("--") if "--" in words else len(words)
     options = parse(LaunchOptions, words[:place], PROGRAM)
     launch, groups = planned(options, words[place + 1 :])
-    fresh = launch.path == Path() or not (launch.path / LAUNCH).exists()
+    fresh = launch.path == Path() or not is_there("out", launch.path / LAUNCH)
     engine = _engine(launch)
     if fresh:
         if launch.path != Path():

@@ -16,6 +16,7 @@ from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.storage.looking import is_there, look_at
 from cgm_jax.storage.run_directory import RunDirectory
 
 
@@ -43,9 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if out is None or out == Path():
         raise SettingError("out: name the directory to make")
     with Interruption(ends_process=owns_process(), first_words="stopping", last_words="stopped"):
-        if out.exists() or out.is_symlink():
+        if is_there("out", out) or out.is_symlink():
             raise SettingError(f"out: {out} exists already; name another directory")
         for path in options.directories:
+            look_at("directories", path)
             print_restored(path)
         parts = read_parts(options.directories)
         if names := differences(parts):

@@ -16,6 +16,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import owns_process, parse, print_restored, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
+from cgm_jax.storage.looking import is_directory, look_at
 
 if TYPE_CHECKING:
     from cgm_jax.results.page.sweeps import Sweep
@@ -73,19 +74,22 @@ def _check(options: ReportOptions) -> None:
     """Check what can be checked without reading.
 
     Raises:
-        SettingError: no directory, one twice, or a file that cannot be written.
+        SettingError: no directory, one twice, one that cannot be looked at, or a file that cannot
+            be written.
     """
     if not options.directories:
         raise SettingError("directories: name at least one")
+    for path in options.directories:
+        look_at("directories", path)
     resolved = [path.resolve() for path in options.directories]
     for path in options.directories:
         if resolved.count(path.resolve()) > 1:
             raise SettingError(f"directories: {path} is named twice")
     if options.out is None:
         return
-    if options.out.is_dir():
+    if is_directory("out", options.out):
         raise SettingError(f"out: {options.out} is a directory")
-    if not options.out.parent.is_dir():
+    if not is_directory("out", options.out.parent):
         raise SettingError(f"out: {options.out.parent} is no directory")
 
 

@@ -24,6 +24,7 @@ from cgm_jax.storage.arrays import open_arrays, read_arrays
 from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
 from cgm_jax.storage.config_file import read_groups
 from cgm_jax.storage.layout import CONFIG
+from cgm_jax.storage.looking import is_directory
 from cgm_jax.storage.policies import MAX_POLICY_BYTES, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
 from cgm_jax.storage.untrusted import UNREADABLE
@@ -46,7 +47,7 @@ def read_source(path: Path, run: str | None = None) -> dict[str, np.ndarray]:
     Raises:
         SettingError: there is nothing to start from.
     """
-    if path.is_dir():
+    if is_directory("from", path):
         return _from_directory(path, run)
     if run is not None:
         raise SettingError(f"from_run: {path} is no run directory")

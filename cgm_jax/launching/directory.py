@@ -12,11 +12,10 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import absolute
 from cgm_jax.launching.attempts import Order
 from cgm_jax.storage.files import replacing
-from cgm_jax.storage.layout import check_parts
+from cgm_jax.storage.layout import LAUNCH, check_parts
 from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 FORMAT = 1
-LAUNCH = "launch.json"
 CHECKPOINT_SECONDS = 60
 """Between checkpoints, at least, unless the sweep says otherwise."""
 
@@ -152,8 +151,10 @@ def read_launch(path: Path) -> Launch:
             sweep=tuple(_typed(word, str) for word in entry["sweep"]),
             resources=_resources(entry["resources"]),
         )
-    except OSError:
+    except (FileNotFoundError, NotADirectoryError):
         raise SettingError(f"resume: {path} holds no launch: {LAUNCH} is missing") from None
+    except OSError as error:
+        raise SettingError(f"resume: cannot read {file}: {error.strerror}") from None
     except UNREADABLE as error:
         text = str(error).partition("\n")[0]
         raise SettingError(f"{file} is damaged: {type(error).__name__}: {text}") from None

@@ -18,13 +18,14 @@ from cgm_jax.config.shards import MAX_PARTS
 from cgm_jax.host.command_line import chosen_values, parse, seed_values
 from cgm_jax.launching.directory import (
     ANY_CLUSTER,
-    LAUNCH,
     Launch,
     Resources,
     absolute_path,
     absolute_words,
     read_launch,
 )
+from cgm_jax.storage.layout import LAUNCH
+from cgm_jax.storage.looking import is_there
 from cgm_jax.sweep import SweepOptions
 
 PROGRAM = "python -m cgm_jax.launch"
@@ -142,7 +143,7 @@ def _new(options: LaunchOptions, words: Sequence[str]) -> tuple[Launch, list[Gro
         sweep=tuple(words),
         resources=_resources(options, Resources()),
     )
-    if options.out is not None and (path / LAUNCH).exists():
+    if options.out is not None and is_there("out", path / LAUNCH):
         before = read_launch(path)
         if (before.sweep, before.parts) != (launch.sweep, launch.parts):
             raise SettingError(f"out: {options.out} already holds a launch of another sweep")

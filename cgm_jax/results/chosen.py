@@ -9,6 +9,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.pretrained import pretrained_policy
+from cgm_jax.storage.looking import is_directory, is_ordinary_file, is_there
 from cgm_jax.storage.run_directory import RunDirectory
 
 SUFFIX = ".npz"
@@ -47,12 +48,12 @@ def chosen_policies(
         return [Policies(Settings(env=pretrained), {pretrained: pretrained_policy(pretrained)})]
     if source is None:
         raise SettingError("source: name a run directory or a policy file, or give --pretrained")
-    if source.suffix != SUFFIX or source.is_dir():
+    if source.suffix != SUFFIX or is_directory("source", source):
         directory = RunDirectory.open(source)
         return _of_directory(directory, run, directory.config.moved(named))
     if run is not None:
         raise SettingError("run: goes with a run directory, not with a policy file")
-    if not source.is_file():
+    if not is_ordinary_file("source", source):
         raise SettingError(f"source: there is no file {source}")
     return [Policies(_settings_of_file(source, named), {source.stem: source})]
 
@@ -68,7 +69,9 @@ def _of_directory(
     for group in groups:
         paths = {run.name: directory.policy_path(run) for run in group.runs}
         files = {
-            name: path for name, path in paths.items() if path.exists() and only in (None, name)
+            name: path
+            for name, path in paths.items()
+            if only in (None, name) and is_there("source", path)
         }
         found += [Policies(group.settings, files)] if files else []
     if not found:

@@ -7,6 +7,7 @@ metrics.py        rows of metrics: dicts in memory, lines of JSON in files
 checkpoints.py    checkpoints as files: finished, whole, and the config they carry
 formats.py        older formats of config.json
 policies.py       trained policies as plain arrays
+looking.py        what lies at a path that the user names
 untrusted.py      JSON from anybody: how deep, and what reading it raises
 arrays.py         files of named arrays, read as untrusted input
 provenance.py     what results depend on besides the settings

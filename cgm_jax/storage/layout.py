@@ -9,11 +9,11 @@ from cgm_jax.storage.lock import HOLDER, LOCK
 
 START = "start.npz"
 METRICS, TABLE = "metrics.jsonl", "metrics.csv"
-CONFIG = "config.json"
+CONFIG, LAUNCH = "config.json", "launch.json"
 PARTS = (
     *(CONFIG, START, METRICS, TABLE, LOCK, HOLDER),
     *("policies", "figures", "checkpoints", "tracking"),
-    *("launch.json", "parts", "attempts", "logs"),
+    *(LAUNCH, "parts", "attempts", "logs"),
 )
 
 SLURM = "slurm"
