@@ -16,6 +16,7 @@ from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import new_directory
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import ANY_CLUSTER, Launch, absolute_path
+from cgm_jax.launching.merged import check_merged
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.machine.commands import shell_command
@@ -72,10 +73,14 @@ def _engine(launch: Launch) -> Engine:
 
 @contextlib.contextmanager
 def _claimed(launch: Launch, *, fresh: bool) -> Iterator[RunDirectory]:
-    """The launch's directory, in which no other launcher is meanwhile."""
+    """The launch's directory, in which no other launcher is meanwhile.
+
+    Raises:
+        SettingError: it cannot be written to, or holds something else.
+        InUseError: another launcher has it.
+    """
     with RunDirectory.claimed(launch.path, fresh=fresh) as directory:
-        if fresh and (launch.path / LAUNCH).exists():  # made while the sweep was checked
-            raise SettingError(f"out: {launch.path} already holds a launch")
+        check_merged(directory)
         try:
             launch.write()
         except OSError as error:

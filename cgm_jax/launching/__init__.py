@@ -15,6 +15,7 @@ directory.py    these paths, and the command of a part
 attempts.py     one attempt at a part: a child process, its cores, its end, and whether to try again
 record.py       what is written of attempts
 supervision.py  what all engines share: attempts until every part is done or cannot be
+merged.py       whether the sweep in a launch's directory is that of its parts
 progress.py     one line for all parts, from their metrics.jsonl
 cores.py        cores that no other attempt on the machine has
 

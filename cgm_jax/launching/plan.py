@@ -160,19 +160,20 @@ def _resumed(
     """
     launch = read_launch(path)
     named = parse(SweepOptions, words, f"{PROGRAM} --")
+    _check_only_names(words)
     _name_own_code(named)
-    chosen = chosen_values(named)
-    others = [name for name in chosen if name not in NAMES]
-    others += [name for name in ("preset", "seeds", *OWN) if getattr(named, name)]
-    if others:
-        raise SettingError(f"resume: a launch resumes as it was begun, without {others[0]}")
-    own = _own_code(parse(SweepOptions, launch.sweep, f"{PROGRAM} --", from_file=True))
+    recorded = parse(SweepOptions, launch.sweep, f"{PROGRAM} --", from_file=True)
+    own = _own_code(recorded)
     for kind, text in _own_code(named):
         if (kind, text) not in own:
             raise SettingError(f"{kind}: {launch.path} was launched with something else")
+    if named.track not in (None, recorded.track):
+        with_what = recorded.track or "none"
+        raise SettingError(f"{TRACK}: {launch.path} was launched with {with_what}")
     for kind, text in own:
         require_named(kind, text)
     groups, _ = _groups(launch.sweep, named_now=False)
+    _check_trained(named, groups, launch.path)
     on = options.on or launch.on
     if on not in ENGINES or not 1 <= launch.parts <= sum(len(group.runs) for group in groups):
         raise SettingError(f"{launch.path / LAUNCH} is damaged: {launch.parts} parts on {on!r:.20}")
@@ -184,6 +185,32 @@ def _resumed(
             f"--address {shlex.quote(resources.address)}"
         )
     return replace(launch, on=on, resources=resources), groups
+
+
+def _check_only_names(words: Sequence[str]) -> None:
+    """Check that options do nothing but name what a launch has, so that its own code may run.
+
+    Raises:
+        SettingError: one would change the sweep, or how it is trained.
+    """
+    for word in words:
+        name = word.partition("=")[0].removeprefix("--").replace("-", "_")
+        if word.startswith("--") and name not in (*NAMES, TRACK):
+            raise SettingError(f"resume: a launch resumes as it was begun, without {name}")
+
+
+def _check_trained(named: SweepOptions, groups: Sequence[Group], path: Path) -> None:
+    """Check that a launch trains with what the user names.
+
+    Raises:
+        SettingError: it trains with something else.
+    """
+    for kind in NAMES:
+        trained = {run.values[kind]: None for group in groups for run in group.runs}
+        for text in getattr(named, kind) or ():
+            if text not in trained:
+                there = ", ".join(trained)
+                raise SettingError(f"{kind}: {path} was launched with {there}, not {text}")
 
 
 def _resources(options: LaunchOptions, before: Resources) -> Resources:

@@ -29,7 +29,7 @@ from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun
 from cgm_jax.storage.config_file import damaged
 from cgm_jax.storage.files import replacing
-from cgm_jax.storage.layout import CONFIG, METRICS, START, TABLE, check_parts
+from cgm_jax.storage.layout import CONFIG, LAUNCH, METRICS, START, TABLE, check_parts
 from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.sweep_config import SweepConfig
@@ -49,7 +49,7 @@ class RunDirectory:
 
         Args:
             path: the directory.
-            fresh: whether it must not hold a sweep yet.
+            fresh: whether it must not hold a sweep or a launch yet.
 
         Raises:
             SettingError: it cannot be written to, it is not fresh, or a part of it leads elsewhere.
@@ -90,17 +90,18 @@ class RunDirectory:
             return False
 
     def check_fresh(self) -> None:
-        """Check that no sweep has been begun here, whatever is left of it.
+        """Check that no sweep has been begun here, whatever is left of it, and no launch.
 
         Raises:
             SettingError: one has.
         """
         try:
-            held = any((self.path / name).exists() for name in (CONFIG, METRICS))
+            held = [name for name in (CONFIG, METRICS, LAUNCH) if (self.path / name).exists()]
         except OSError:  # such as a name that is too long, as making the directory will say
             return
         if held:
-            raise SettingError(f"out: {self.path} already holds a sweep; name another directory")
+            what = "a launch" if held == [LAUNCH] else "a sweep"
+            raise SettingError(f"out: {self.path} already holds {what}; name another directory")
 
     @property
     def config(self) -> SweepConfig:

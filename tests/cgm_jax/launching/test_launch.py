@@ -163,6 +163,38 @@ def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
     assert program.main(["--jobs", "6", "--out", "out", *words]) == 0  # the same command again
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--csv"], "resume: a launch resumes as it was begun, without csv$"),
+        (["--devices", "all"], "resume: .* without devices$"),  # though that is the default
+        (["--checkpoint-seconds", "5"], "resume: .* without checkpoint_seconds$"),
+        (["--checkpoint_seconds=5"], "resume: .* without checkpoint_seconds$"),
+        (["--env", "point", "--dry-run"], "resume: .* without dry_run$"),
+        (["--config", "a.toml"], "resume: .* without config$"),
+        (["--from", "run"], "resume: .* without from$"),
+        (["--set", "gain=1"], "resume: .* without set$"),
+        (["--kappa", "4"], "resume: .* without kappa$"),
+        (["--preset", "smoke"], "resume: .* without preset$"),
+        (["--out", "x"], "resume: .* without out$"),
+        (["--track", "wandb"], "track: .*/out was launched with tensorboard$"),
+        (["--env", "push"], "env: .*/out was launched with reach, not push$"),
+        (["--agent", "ddpg", "sac"], "agent: .*/out was launched with ddpg, not sac$"),
+    ],
+)
+def test_a_launch_resumes_as_it_was_begun(
+    folder: Path, planned: list[Launch], words: list[str], line: str
+) -> None:
+    sweep = ["--preset", "smoke", "--env", "reach", "--track", "tensorboard"]
+    assert program.main(["--jobs", "2", "--out", "out", "--", *sweep]) == 0
+    with pytest.raises(SettingError, match=f"^{line}"):
+        program.main(["--resume", "out", "--", *words])
+    assert len(planned) == 1
+    same = ["--env", "reach", "--agent", "ddpg", "--track", "tensorboard"]
+    assert program.main(["--resume", "out", "--", *same]) == 0
+    assert planned[1] == planned[0]
+
+
 @pytest.mark.parametrize("name", ["config.json", "metrics.jsonl"])
 def test_a_sweeps_directory_is_refused_before_the_sweep_is_checked(
     name: str, folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
