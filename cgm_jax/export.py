@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if out is not None and not is_directory("out", out):
         raise SettingError(f"out: {out} is no directory")
     from cgm_jax.results.onnx_model import onnx_model
-    from cgm_jax.storage.files import replacing
+    from cgm_jax.storage.files import remove_abandoned, replacing
     from cgm_jax.storage.policies import load_policy
 
     try:
@@ -64,8 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         beside = Path() if options.pretrained is not None else path.parent
         target = (out or beside) / f"{path.stem}{ONNX}"
         try:
+            model = onnx_model(arrays).SerializeToString()
+            remove_abandoned(target)
             with replacing(target) as file:
-                file.write(onnx_model(arrays).SerializeToString())
+                file.write(model)
         except OSError as error:
             raise SettingError(f"out: cannot write {target}: {error.strerror}") from None
         print(target)

@@ -11,5 +11,5 @@ looking.py        what lies at a path that the user names
 untrusted.py      JSON from anybody: how deep, and what reading it raises
 arrays.py         files of named arrays, read as untrusted input
 provenance.py     what results depend on besides the settings
-files.py          files that are whole or not there
+files.py          files that are whole or not there, and what the system refuses
 """

@@ -1,8 +1,10 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there; and what to say of those that the system refuses."""
 
 import contextlib
 import errno
 import os
+import secrets
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -10,13 +12,50 @@ from typing import BinaryIO
 PARTIAL = ".partial"
 """Ending of a file that is being written."""
 
+ABANDONED_SECONDS = 600.0
+"""After so long without a change nobody writes to a file any more, whatever two clocks say."""
+
+ABSENT = (FileNotFoundError, NotADirectoryError)
+"""What reading a file raises that is not there."""
+
+
+class ReadError(OSError):
+    """A file cannot be read just now, as on a network disk that is away; its bytes may be whole."""
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Have what the system refuses in the block tell that it was reading, and what.
+
+    Raises:
+        ReadError: it has refused something.
+        FileNotFoundError, NotADirectoryError: the file is not there.
+    """
+    try:
+        yield
+    except ABSENT:
+        raise
+    except OSError as error:
+        raise ReadError(error.errno, error.strerror or str(error), str(path)) from None
+
+
+def refusal(error: OSError, directory: Path) -> str:
+    """What the system has refused, in one line.
+
+    Args:
+        error: what it has raised.
+        directory: in which all is written.
+    """
+    what = f"read {error.filename}" if isinstance(error, ReadError) else f"write to {directory}"
+    return f"cannot {what}: {error.strerror or error}"
+
 
 @contextlib.contextmanager
 def replacing(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
     """Write a file that takes the place of `path` in one step, once it is whole.
 
     A reader sees the old file or the new one, never a part. If the writing fails, the old file
-    stays and nothing else is left behind.
+    stays and nothing else is left behind. Of several that write it at once the last one counts.
 
     Args:
         path: the file to replace or create.
@@ -25,10 +64,11 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
     Raises:
         OSError: the disk is full, the directory cannot be written to, ...
     """
-    partial = path.with_name(path.name + PARTIAL)
+    # A name that nobody else has, and "x", which follows no link.
+    partial = path.with_name(f"{path.name}.{secrets.token_hex(4)}{PARTIAL}")
+    file = partial.open("xb")
     try:
-        partial.unlink(missing_ok=True)  # of a killed process; or a link that leads elsewhere
-        with partial.open("xb") as file:
+        with file:
             yield file
             if durable:
                 file.flush()
@@ -40,6 +80,31 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
         raise
+
+
+def remove_partials(directory: Path, name: str = "") -> None:
+    """Remove what killed processes have left half written, where nobody else writes now.
+
+    Args:
+        directory: in which.
+        name: how the names of the files begin.
+    """
+    _remove(directory, name, before=None)
+
+
+def remove_abandoned(path: Path) -> None:
+    """Remove what killed processes have left of a file, which others may be writing as well."""
+    _remove(path.parent, f"{path.name}.", before=time.time() - ABANDONED_SECONDS)
+
+
+def _remove(directory: Path, name: str, before: float | None) -> None:
+    """Remove files that are being written, if they were last changed before a time."""
+    with contextlib.suppress(OSError):  # it is only tidying
+        for path in list(directory.iterdir()):
+            if not path.name.startswith(name) or path.suffix != PARTIAL:
+                continue
+            if before is None or path.lstat().st_mtime < before:
+                path.unlink(missing_ok=True)
 
 
 def _synchronise(directory: Path) -> None:

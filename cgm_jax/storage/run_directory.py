@@ -28,12 +28,15 @@ from cgm_jax.config.grid import Run
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun
 from cgm_jax.storage.config_file import damaged
-from cgm_jax.storage.files import replacing
+from cgm_jax.storage.files import remove_partials, replacing
 from cgm_jax.storage.layout import CONFIG, LAUNCH, METRICS, START, TABLE, check_parts
 from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.sweep_config import SweepConfig
 from cgm_jax.storage.untrusted import UNREADABLE, from_json
+
+FOLDERS = ("policies", "policies/improvements", "figures", "checkpoints", "tracking")
+FILES = (CONFIG, START, METRICS, TABLE, LAUNCH)
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class RunDirectory:
                 raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
             if fresh:  # also of a process that had the lock until now
                 directory.check_fresh()
+            directory.remove_partials()
             yield directory
 
     @classmethod
@@ -102,6 +106,13 @@ class RunDirectory:
         if held:
             what = "a launch" if held == [LAUNCH] else "a sweep"
             raise SettingError(f"out: {self.path} already holds {what}; name another directory")
+
+    def remove_partials(self) -> None:
+        """Remove what killed processes have left half written; whoever has the lock may."""
+        for folder in FOLDERS:
+            remove_partials(self.path / folder)
+        for name in FILES:  # not of a page, which is written without the lock
+            remove_partials(self.path, name)
 
     @property
     def config(self) -> SweepConfig:

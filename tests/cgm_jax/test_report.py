@@ -1,18 +1,21 @@
+import contextlib
 import json
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import pytest
 
 from cgm_jax import report
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.results.page import page as page_module
 from cgm_jax.results.page.page import unpacked
 from cgm_jax.storage.checkpoints import write_manifest
 from tests.cgm_jax.results.page.made import directory, follow_on, grid, timed_run
@@ -134,6 +137,40 @@ def test_a_torn_config_comes_back_from_a_checkpoint(
     (path / "config.json").write_text("{}")  # somebody may have edited it
     with pytest.raises(SettingError, match=r"damaged: .*; without this file it comes back from a"):
         report.main([str(path)])
+
+
+def test_two_at_once_both_write_a_whole_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = grid(tmp_path / "run", seeds=1, epochs=3)
+    replacing, codes = page_module.replacing, []
+
+    @contextlib.contextmanager
+    def interrupted(out: Path) -> Iterator[BinaryIO]:
+        with replacing(out) as file:
+            if not codes:
+                codes.append(None)
+                codes.append(report.main([str(path)]))
+            yield file
+
+    monkeypatch.setattr(page_module, "replacing", interrupted)
+    assert report.main([str(path)]) == ExitCode.DONE
+    assert codes == [None, ExitCode.DONE]
+    assert epochs_in(path / "report.html") == [3] * 7
+    assert not list(path.glob("*.partial"))
+
+
+def test_a_page_is_made_before_its_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = grid(tmp_path / "run", seeds=1, epochs=3)
+    before = sorted(path.iterdir())
+
+    def made(*_: Any) -> str:
+        assert sorted(path.iterdir()) == before
+        return "text"
+
+    monkeypatch.setattr(page_module, "page_text", made)
+    assert report.main([str(path)]) == ExitCode.DONE
+    assert (path / "report.html").read_text() == "text"
 
 
 def test_bad_options_are_refused(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from cgm_jax.results.page.data import page_data
 from cgm_jax.results.page.sweeps import Sweep
 from cgm_jax.results.page.videos import video_figures
-from cgm_jax.storage.files import replacing
+from cgm_jax.storage.files import remove_abandoned, replacing
 
 FOLDER = Path(__file__).parent
 LIBRARIES = ("vendor/d3.min.js", "vendor/plot.umd.min.js")
@@ -35,8 +35,10 @@ def write_page(path: Path, sweeps: Sequence[Sweep], reload_seconds: float | None
     Raises:
         OSError: it cannot be written.
     """
+    text = page_text(sweeps, reload_seconds).encode()
+    remove_abandoned(path)
     with replacing(path) as file:
-        file.write(page_text(sweeps, reload_seconds).encode())
+        file.write(text)
 
 
 def page_text(sweeps: Sequence[Sweep], reload_seconds: float | None = None) -> str:

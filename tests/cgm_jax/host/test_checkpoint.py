@@ -82,7 +82,8 @@ def test_rows_are_stored_as_the_lines_of_metrics_jsonl(
 
 
 def test_the_last_two_checkpoints_of_a_group_are_kept(tmp_path: Path, state: TrainingState) -> None:
-    (tmp_path / "group0_epoch000001_cycle000001.npz.partial").touch()  # left by a kill -9
+    for rest in (".npz.1a2b3c4d.partial", ".json.1a2b3c4d.partial", ".npz.partial"):
+        (tmp_path / f"group0_epoch000001_cycle000001{rest}").touch()  # left by a kill -9
     for epoch, cycle in ((1, 0), (1, 1), (2, 0), (1_000_000, 3)):
         save(tmp_path, state, epoch, cycle)
     save(tmp_path, state, epoch=1, group=1)

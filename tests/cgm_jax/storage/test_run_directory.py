@@ -15,7 +15,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
 from cgm_jax.storage import provenance, run_directory
-from cgm_jax.storage.files import PARTIAL, replacing
+from cgm_jax.storage.files import PARTIAL
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
@@ -220,13 +220,22 @@ def test_of_a_trackers_files_only_the_link_beside_wandbs_log_may_be_one(tmp_path
         (tmp_path / "out" / link).unlink()
 
 
-def test_a_link_in_place_of_a_half_written_file_is_not_followed(tmp_path: Path) -> None:
-    (tmp_path / "target").write_text("kept")
-    (tmp_path / f"a{PARTIAL}").symlink_to(tmp_path / "target")
-    with replacing(tmp_path / "a") as file:
-        file.write(b"new")
-    assert (tmp_path / "a").read_bytes() == b"new"
-    assert (tmp_path / "target").read_text() == "kept"
+def test_whoever_claims_a_directory_removes_what_killed_processes_left_half_written(
+    tmp_path: Path,
+) -> None:
+    with RunDirectory.claimed(tmp_path, fresh=True) as directory:
+        directory.config.write(build_groups("smoke", {}), "smoke", "cpu")
+    kept = {path for path in tmp_path.rglob("*") if path.is_file()}
+    page = tmp_path / f"report.html.1a2b3c4d{PARTIAL}"  # which may be written just now
+    names = ("config.json", "start.npz", "metrics.jsonl", "policies/a.npz", "figures/a.png")
+    names += ("policies/improvements/a_epoch1.npz", "checkpoints/group0_epoch1_cycle0.npz")
+    for name in names:
+        (tmp_path / f"{name}.1a2b3c4d{PARTIAL}").touch()
+        (tmp_path / f"{name}{PARTIAL}").touch()  # of versions before
+    page.touch()
+    with RunDirectory.claimed(tmp_path, fresh=False):
+        pass
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == kept | {page}
 
 
 CONFIGS = {
