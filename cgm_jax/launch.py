@@ -6,14 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import piece
 from cgm_jax.host.command_line import owns_process, parse, run_program
 from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
-from cgm_jax.host.session import new_directory
+from cgm_jax.host.session import RUNS, new_directory
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import ANY_CLUSTER, Launch, absolute_path
 from cgm_jax.launching.merged import check_merged
@@ -21,9 +20,10 @@ from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.storage.files import refusal
 from cgm_jax.storage.layout import LAUNCH
 from cgm_jax.storage.looking import is_there
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.run_directory import RunDirectory, claiming
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,16 +40,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         engine.check()
         check_sweep(launch.sweep, engine.variables_here())
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.
-    with Interruption(
-        patience=PATIENCE_SECONDS + 5,
-        ends_process=owns_process(),
-        first_words="stopping; a second Ctrl-C: at once",
-    ) as interruption:
-        if launch.path == Path():
-            launch = replace(launch, path=absolute_path(new_directory(launch.preset)))
-        with _claimed(launch, fresh=fresh) as directory:
-            interruption.expendable = False
-            return _run(launch, engine, groups, directory, interruption)
+    with (
+        Interruption(
+            patience=PATIENCE_SECONDS + 5,
+            ends_process=owns_process(),
+            first_words="stopping; a second Ctrl-C: at once",
+        ) as interruption,
+        contextlib.ExitStack() as claimed,
+    ):
+        try:
+            if launch.path == Path():
+                launch = replace(launch, path=absolute_path(new_directory(launch.preset)))
+            directory = claimed.enter_context(_claimed(launch, fresh=fresh))
+        except OSError as error:
+            return _refused(error, launch, begun=not fresh)
+        interruption.expendable = False
+        return _run(launch, engine, groups, directory, interruption)
 
 
 def _engine(launch: Launch) -> Engine:
@@ -77,15 +83,22 @@ def _claimed(launch: Launch, *, fresh: bool) -> Iterator[RunDirectory]:
 
     Raises:
         SettingError: it cannot be written to, or holds something else.
+        OSError: the disk fails, or it served before and cannot be written to.
         InUseError: another launcher has it.
     """
     with RunDirectory.claimed(launch.path, fresh=fresh) as directory:
         check_merged(directory)
-        try:
+        with claiming(launch.path, fresh=fresh):
             launch.write()
-        except OSError as error:
-            raise SettingError(f"out: cannot write to {launch.path}: {error.strerror}") from None
         yield directory
+
+
+def _refused(error: OSError, launch: Launch, *, begun: bool) -> int:
+    """Say what the system has refused, and how to go on; return the exit code."""
+    place = RUNS if launch.path == Path() else launch.path
+    print(f"error: {refusal(error, place)}", file=sys.stderr)
+    print(_how_to_resume(launch) if begun else "nothing was begun", file=sys.stderr)
+    return ExitCode.CANNOT_WRITE
 
 
 def _run(
@@ -116,9 +129,7 @@ def _run(
     try:
         rows = write_merged(parts, directory)
     except OSError as error:
-        print(f"error: cannot write to {launch.path}: {error.strerror or error}", file=sys.stderr)
-        print(_how_to_resume(launch), file=sys.stderr)
-        return ExitCode.CANNOT_WRITE
+        return _refused(error, launch, begun=True)
     return conclude(directory, rows)
 
 

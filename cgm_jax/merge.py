@@ -11,11 +11,12 @@ from typing import Annotated
 import tyro
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host.command_line import owns_process, parse, print_restored, run_program
+from cgm_jax.host.command_line import bring_config_back, owns_process, parse, run_program
 from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.storage.files import refusal
 from cgm_jax.storage.looking import is_there, look_at
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -48,7 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise SettingError(f"out: {out} exists already; name another directory")
         for path in options.directories:
             look_at("directories", path)
-            print_restored(path)
+            try:
+                bring_config_back(path)
+            except OSError as error:
+                return _refused(error, path)
         parts = read_parts(options.directories)
         if names := differences(parts):
             print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)
@@ -61,9 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except OSError as error:
             with contextlib.suppress(OSError):
                 shutil.rmtree(making)
-            print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            return ExitCode.CANNOT_WRITE
+            return _refused(error, out)
         return conclude(RunDirectory(out), rows)
+
+
+def _refused(error: OSError, directory: Path) -> int:
+    """Say what the system has refused; return the exit code."""
+    print(f"error: {refusal(error, directory)}", file=sys.stderr)
+    return ExitCode.CANNOT_WRITE
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@ In the middle of a cycle that is cut, `_part000007` is added to the names: seven
 Only such a file holds what is unfinished, so that any device can go on from the others.
 
 A checkpoint without its manifest was never finished. One that does not match it is damaged: it
-is set aside under a name that says so, and the one before serves.
+is set aside under a name that says so, and the one before serves. One that the system does not
+hand out just now is neither: it stays, and what was to be done with it fails.
 """
 
 import contextlib
@@ -32,7 +33,7 @@ from cgm_jax.storage.checkpoints import (
     manifest_path,
     write_manifest,
 )
-from cgm_jax.storage.files import PARTIAL, replacing
+from cgm_jax.storage.files import PARTIAL, reading, replacing
 from cgm_jax.storage.metrics import Row, from_lines, to_lines
 from cgm_jax.storage.untrusted import UNREADABLE
 
@@ -112,6 +113,7 @@ def load_checkpoint(
     Raises:
         SettingError: the file is of a newer format; or it is whole, but holds the state of another
             program.
+        ReadError: it cannot be read just now.
     """
     notes = []
     for path in reversed(finished_checkpoints(directory, group)):
@@ -132,7 +134,7 @@ def check_last_checkpoint(directory: Path, group: int, like: TrainingState) -> N
     What may be damage is left to `load_checkpoint`, which takes the one before.
 
     Raises:
-        SettingError: as `load_checkpoint`.
+        SettingError, ReadError: as `load_checkpoint`.
     """
     for path in finished_checkpoints(directory, group)[-1:]:
         format_of(path)
@@ -205,7 +207,7 @@ def _read(path: Path, like: TrainingState) -> TrainingProgress:
     """Read a checkpoint whose checksum is right, which does not mean that it is ours."""
     _check_shapes(path, like)
     try:
-        with open_arrays(path) as arrays:
+        with reading(path), open_arrays(path) as arrays:
             state = _restored(arrays, like)
             epoch, cycle = (int(number) for number in arrays["position"])
             rows, wall_s = _rows(path, bytes(arrays["rows"])), float(arrays["wall_s"])

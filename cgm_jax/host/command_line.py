@@ -35,6 +35,7 @@ from cgm_jax.host.setting_options import (
     show_preset,
 )
 from cgm_jax.host.streams import make_streams_harmless
+from cgm_jax.storage.files import refusal
 from cgm_jax.storage.lock import InUseError
 from cgm_jax.storage.run_directory import RunDirectory
 
@@ -279,10 +280,23 @@ def run_program(main: Callable[[], int]) -> NoReturn:
 
 
 def print_restored(directory: Path) -> None:
+    """Do as `bring_config_back`, for a program that only reads what a sweep has written.
+
+    Raises:
+        SettingError: it cannot be read or written, or a part of the directory leads elsewhere.
+    """
+    try:
+        bring_config_back(directory)
+    except OSError as error:
+        raise SettingError(refusal(error, directory)) from None
+
+
+def bring_config_back(directory: Path) -> None:
     """Bring a run directory's lost or torn config.json back, if a checkpoint has it, and say so.
 
     Raises:
-        SettingError: it cannot be written, or a part of the directory leads elsewhere.
+        SettingError: a part of the directory leads elsewhere.
+        OSError: it cannot be read, which a `ReadError` says, or written.
     """
     if (line := RunDirectory(directory).config.restore()) is not None:
         print(line, file=sys.stderr)

@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     DIVERGED = 3
     """Done, but some runs diverged, or had no valid episode in the end; they are named."""
     CANNOT_WRITE = 74
-    """A full disk, or a directory that cannot be written to (EX_IOERR)."""
+    """A full disk, or a directory that cannot be written to, or read just now (EX_IOERR)."""
     STOPPED = 75
     """Stopped by a signal (EX_TEMPFAIL)."""
     IN_USE = 75

@@ -59,7 +59,8 @@ def run_jobs(
 
     Raises:
         DeviceError: the physics, the memory or something else below has failed.
-        OSError: metrics, or a job's last checkpoint, cannot be written.
+        OSError: metrics, or a job's last checkpoint, cannot be written; or, as a ReadError says,
+            read.
         SettingError: a checkpoint holds the state of another program.
     """
     rows, last, former = [], [], directory.former_metrics()
@@ -95,6 +96,7 @@ def check_last_checkpoints(jobs: Sequence[Job], directory: RunDirectory) -> None
 
     Raises:
         SettingError: one holds the state of another program, or is of another version.
+        ReadError: one cannot be read just now.
     """
     for index, job in enumerate(jobs):
         check_last_checkpoint(directory.path / "checkpoints", index, _shapes(job))

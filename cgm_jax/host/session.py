@@ -17,7 +17,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import Shard
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import TrainingOptions, owns_process, print_restored
+from cgm_jax.host.command_line import TrainingOptions, bring_config_back, owns_process
 from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
 from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import (
@@ -34,13 +34,18 @@ from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.tracking import Tracking, find_tracker
+from cgm_jax.storage.checkpoints import holds_config
 from cgm_jax.storage.config_file import read_origin
+from cgm_jax.storage.files import ReadError, refusal
 from cgm_jax.storage.layout import CONFIG
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.run_directory import RunDirectory, claiming
 
 if TYPE_CHECKING:  # jobs imports JAX
     from cgm_jax.host.jobs import Job
     from cgm_jax.loop.compiler import Compiler
+
+RUNS = Path("runs")
+"""In which a directory is made where none is named."""
 
 
 def train_groups(options: TrainingOptions, asked: Asked) -> int:
@@ -57,57 +62,85 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         SettingError: before anything compiles, if something cannot be as it is asked for.
         InUseError: before anything compiles, if another process trains in the directory.
     """
-    out = options.resume or options.out
     with Interruption(ends_process=owns_process()) as interruption, ExitStack() as shown:
         progress = shown.enter_context(SweepProgress())
         if options.track is not None:
             find_tracker(options.track)
-        moved = {}
-        if out is not None and not options.dry_run:
-            print_restored(out)
-        if asked.groups is None and out is not None:
-            # What own code the user names goes with what the directory holds.
-            named = {kind: asked.chosen.get(kind, ()) for kind in NAMES}
-            moved = RunDirectory.open(out).config.moved(named)
-        recorded = None if out is None else _recorded_groups(out, asked, moved)
-        to_train, devices = recorded or asked.groups or [], parse_devices(options.devices)
-        jobs, notes = plan(to_train, devices, planned=recorded is not None)
-        start = None if recorded else _start(asked, jobs)
-        if options.dry_run:
-            from cgm_jax.host.dry_run import show_plan
-
-            shown.close()
-            return show_plan(jobs, notes, RunDirectory(out) if recorded and out else None)
-        from cgm_jax.loop.compiler import Compiler
-
-        out = out or new_directory(asked.preset)
         try:
-            with (
-                Compiler() as compiler,  # which is waited for when all else is done
-                RunDirectory.claimed(out, fresh=recorded is None) as directory,
-                Tracking(options.track, out) as tracking,
-            ):
-                device = describe_devices()
-                if recorded is None:
-                    if start is not None:
-                        directory.write_start(start)
-                    groups = [job.group for job in jobs]
-                    directory.config.write(groups, asked.preset, device, asked.shard, asked.origin)
-                else:
-                    notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
-                    _record_shard(directory, asked.shard)
-                print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
-                how = _how_to_resume(out, options.track)
-                interruption.last_words = f"{STOPPED_AT_ONCE}; {how}"
-                return _train(
-                    jobs, directory, interruption, options, shown, progress, tracking, compiler
-                )
+            return _train_as_asked(options, asked, interruption, shown, progress)
+        except ReadError as error:
+            return _refused(error, options, options.resume or options.out)
+
+
+def _train_as_asked(
+    options: TrainingOptions,
+    asked: Asked,
+    interruption: Interruption,
+    shown: ExitStack,
+    progress: SweepProgress,
+) -> int:
+    """Train groups of runs, see `train_groups`.
+
+    Raises:
+        SettingError, InUseError: as there.
+        ReadError: a file cannot be read just now.
+    """
+    out, moved = options.resume or options.out, {}
+    if out is not None and not options.dry_run:
+        try:
+            bring_config_back(out)
         except OSError as error:
-            print(f"error: cannot write to {out}: {error.strerror or error}", file=sys.stderr)
-            begun = RunDirectory(out).holds_sweep()
-            what_now = _how_to_resume(out, options.track) if begun else "nothing was begun"
-            print(what_now, file=sys.stderr)
-            return ExitCode.CANNOT_WRITE
+            return _refused(error, options, out)
+    if asked.groups is None and out is not None:
+        # What own code the user names goes with what the directory holds.
+        named = {kind: asked.chosen.get(kind, ()) for kind in NAMES}
+        moved = RunDirectory.open(out).config.moved(named)
+    recorded = None if out is None else _recorded_groups(out, asked, moved)
+    to_train, devices = recorded or asked.groups or [], parse_devices(options.devices)
+    jobs, notes = plan(to_train, devices, planned=recorded is not None)
+    start = None if recorded else _start(asked, jobs)
+    if options.dry_run:
+        from cgm_jax.host.dry_run import show_plan
+
+        shown.close()
+        return show_plan(jobs, notes, RunDirectory(out) if recorded and out else None)
+    from cgm_jax.loop.compiler import Compiler
+
+    try:
+        out = out or new_directory(asked.preset)
+        with (
+            Compiler() as compiler,  # which is waited for when all else is done
+            RunDirectory.claimed(out, fresh=recorded is None) as directory,
+            Tracking(options.track, out) as tracking,
+        ):
+            device = describe_devices()
+            if recorded is None:
+                if start is not None:
+                    directory.write_start(start)
+                groups = [job.group for job in jobs]
+                directory.config.write(groups, asked.preset, device, asked.shard, asked.origin)
+            else:
+                notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
+                _record_shard(directory, asked.shard)
+            print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
+            how = _how_to_resume(out, options.track)
+            interruption.last_words = f"{STOPPED_AT_ONCE}; {how}"
+            return _train(
+                jobs, directory, interruption, options, shown, progress, tracking, compiler
+            )
+    except OSError as error:
+        return _refused(error, options, out)
+
+
+def _refused(error: OSError, options: TrainingOptions, out: Path | None) -> int:
+    """Say what the system has refused, and how to go on; return the exit code."""
+    print(f"error: {refusal(error, out or RUNS)}", file=sys.stderr)
+    begun = options.resume is not None
+    if out is not None and not begun:  # a lost config may not have come back
+        begun = RunDirectory(out).holds_sweep() or holds_config(out / "checkpoints")
+    what_now = _how_to_resume(out, options.track) if begun and out else "nothing was begun"
+    print(what_now, file=sys.stderr)
+    return ExitCode.CANNOT_WRITE
 
 
 def plan(
@@ -160,14 +193,13 @@ def new_directory(preset: str) -> Path:
 
     Raises:
         SettingError: it cannot be made.
+        OSError: the disk is full or read-only, or fails.
     """
-    first = Path("runs") / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
+    first = RUNS / f"{preset}-{datetime.now():%Y%m%d-%H%M%S}"
     names = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
-    try:
+    with claiming(first):
         first.parent.mkdir(exist_ok=True)
         return next(path for path in names if _made(path))
-    except OSError as error:
-        raise SettingError(f"out: cannot write to {first}: {error.strerror}") from None
 
 
 def _made(path: Path) -> bool:
@@ -222,7 +254,7 @@ def _notes_on_resuming(
     """Check that jobs can resume, record what differs, and say so.
 
     Raises:
-        SettingError: a checkpoint is refused; then nothing is recorded.
+        SettingError, ReadError: a checkpoint is refused; then nothing is recorded.
     """
     from cgm_jax.host.runner import check_last_checkpoints
 

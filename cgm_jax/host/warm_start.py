@@ -46,6 +46,7 @@ def read_source(path: Path, run: str | None = None) -> dict[str, np.ndarray]:
 
     Raises:
         SettingError: there is nothing to start from.
+        ReadError: a checkpoint cannot be read just now.
     """
     if is_directory("from", path):
         return _from_directory(path, run)

@@ -1,8 +1,12 @@
 """Checkpoints as files: which of them are finished and whole, and what config they carry.
 
 What the arrays in them mean is known to host/checkpoint.py. No JAX is needed here.
+
+Damage is what is wrong with bytes. That the system does not hand them out just now, as a network
+disk that is away, says nothing of them: it is a `ReadError`, and all stays where it is.
 """
 
+import contextlib
 import hashlib
 import json
 import re
@@ -10,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.storage.files import replacing
-from cgm_jax.storage.untrusted import UNREADABLE, from_json
+from cgm_jax.storage.files import ABSENT, reading, replacing
+from cgm_jax.storage.untrusted import MAX_CONFIG_BYTES, UNREADABLE, read_json
 
 FORMAT = 3
 """Of checkpoints, in the manifest. Format 1 had no such entry; curriculum `uniform` had no state
@@ -20,6 +24,9 @@ before format 3. Arrays of older formats are read if they fit.
 
 NAME = re.compile(r"group[0-9]{1,9}_epoch[0-9]{1,10}_cycle[0-9]{1,10}(_part[0-9]{1,10})?\.npz")
 """Of a checkpoint; what else lies beside them is nobody's business."""
+
+MAX_MANIFEST_BYTES = 2 * MAX_CONFIG_BYTES
+"""It has the config as a text, whose quotation marks and ends of lines are two letters each."""
 
 
 def manifest_path(path: Path) -> Path:
@@ -52,26 +59,44 @@ def write_manifest(path: Path, sha256: str, size: int, config: bytes) -> None:
 
 
 def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
-    """A group's finished checkpoints, oldest first; or those of all groups."""
+    """A group's finished checkpoints, oldest first; or those of all groups.
+
+    Raises:
+        ReadError: the directory cannot be read, though it is there.
+    """
 
     def position(path: Path) -> list[int]:
         return [int(number) for number in re.findall(r"\d+", path.stem)]
 
-    paths = [path for path in directory.glob(f"group{group}_*.npz") if NAME.fullmatch(path.name)]
-    return sorted((path for path in paths if manifest_path(path).exists()), key=position)
+    try:
+        with reading(directory):  # which glob would pass over, as if there were no checkpoints
+            there = set(directory.iterdir())
+    except ABSENT:
+        return []
+    paths = [path for path in there if NAME.fullmatch(path.name) and manifest_path(path) in there]
+    if group != "*":
+        paths = [path for path in paths if path.name.startswith(f"group{group}_")]
+    return sorted(paths, key=position)
 
 
 def position(directory: Path, group: int) -> tuple[int, int]:
     """Whole epochs that a group has done, and whole cycles of the next one.
 
     (0, 0) without a checkpoint.
+
+    Raises:
+        ReadError: as `finished_checkpoints`.
     """
     paths = finished_checkpoints(directory, group)
     return position_of(paths[-1])[:2] if paths else (0, 0)
 
 
 def epochs_begun(directory: Path) -> int:
-    """Epochs of the group that has come farthest, the one in progress included."""
+    """Epochs of the group that has come farthest, the one in progress included.
+
+    Raises:
+        ReadError: as `finished_checkpoints`.
+    """
     positions = [position_of(path) for path in finished_checkpoints(directory)]
     return max([epoch + ((cycle, part) > (0, 0)) for epoch, cycle, part in positions], default=0)
 
@@ -87,10 +112,11 @@ def format_of(path: Path) -> int:
 
     Raises:
         SettingError: it is of a newer one.
+        ReadError: its manifest cannot be read just now.
     """
     try:
         number = _manifest(path).get("format", 1)
-    except (OSError, *UNREADABLE):
+    except (*ABSENT, *UNREADABLE):
         return FORMAT  # `damage` says what is wrong
     if type(number) is not int:
         return FORMAT
@@ -103,20 +129,25 @@ def format_of(path: Path) -> int:
 
 
 def damage(path: Path) -> str | None:
-    """What is wrong with a checkpoint's bytes; None if they are those that were written."""
+    """What is wrong with a checkpoint's bytes; None if they are those that were written.
+
+    Raises:
+        ReadError: they cannot be read just now.
+    """
     try:
         manifest = _manifest(path)
         expected, size, number = manifest["sha256"], manifest["bytes"], manifest.get("format", 1)
-    except (OSError, *UNREADABLE):
+    except (*ABSENT, *UNREADABLE):
         return "its manifest cannot be read"
     if type(number) is not int or not 1 <= number <= FORMAT:
         return f"its format is {number!r:.20}"
     try:
-        if path.stat().st_size != size:
-            return f"{path.stat().st_size} bytes instead of {size}"
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
+        with reading(path):
+            if (found := path.stat().st_size) != size:
+                return f"{found} bytes instead of {size}"
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except ABSENT as error:
         return str(error.strerror)
     return None if digest == expected else "its checksum differs"
 
@@ -135,6 +166,7 @@ def restore_config(config: Path, checkpoints: Path) -> str | None:
         to do it from.
 
     Raises:
+        ReadError: it, or a checkpoint, cannot be read just now.
         OSError: it cannot be written.
     """
     if _holds_object(config):
@@ -156,27 +188,41 @@ def restore_config(config: Path, checkpoints: Path) -> str | None:
 
 def holds_config(checkpoints: Path) -> bool:
     """Whether a lost config.json would be restored from one of these checkpoints."""
-    return any(_carried_config(path) for path in finished_checkpoints(checkpoints))
+    with contextlib.suppress(OSError):
+        return any(_carried_config(path) for path in finished_checkpoints(checkpoints))
+    return False
 
 
 def _manifest(path: Path) -> Any:
     """What the manifest of a checkpoint holds; whatever is wrong with it raises."""
-    return from_json(manifest_path(path).read_bytes())
+    manifest = manifest_path(path)
+    with reading(manifest):
+        return read_json(manifest, MAX_MANIFEST_BYTES)
 
 
 def _holds_object(path: Path) -> bool:
+    """Whether a file holds an object of JSON, and is no larger than a config.
+
+    Raises:
+        ReadError: it cannot be read just now.
+    """
     try:
-        return isinstance(from_json(path.read_bytes()), dict)
-    except (OSError, *UNREADABLE):
+        with reading(path):
+            return isinstance(read_json(path, MAX_CONFIG_BYTES), dict)
+    except (*ABSENT, *UNREADABLE):
         return False
 
 
 def _carried_config(path: Path) -> bytes | None:
-    """The config beside a checkpoint; None in those of versions that did not write one."""
+    """The config beside a checkpoint; None in those of versions that did not write one.
+
+    Raises:
+        ReadError: it cannot be read just now.
+    """
     try:
         manifest = _manifest(path)
         content = manifest["config"].encode()
         whole = hashlib.sha256(content).hexdigest() == manifest["config_sha256"]
-    except (OSError, *UNREADABLE):
+    except (*ABSENT, *UNREADABLE):
         return None
     return content if whole else None

@@ -3,7 +3,6 @@
 It may come from anybody: whatever is wrong with it is one line, and nothing that it names is run.
 """
 
-import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,7 @@ from cgm_jax.config.named import is_own
 from cgm_jax.config.run_names import MAX_NAME
 from cgm_jax.storage.formats import upgraded
 from cgm_jax.storage.layout import START
-from cgm_jax.storage.untrusted import UNREADABLE, from_json
-
-MAX_CONFIG_BYTES = 2**28
-"""Of a config with as many runs as a sweep may have."""
+from cgm_jax.storage.untrusted import MAX_CONFIG_BYTES, UNREADABLE, read_json
 
 
 def read_groups(path: Path) -> list[dict[str, dict[str, Any]]]:
@@ -72,12 +68,7 @@ def read_config(path: Path) -> Any:
         SettingError: it cannot be read, is no ordinary file or too large, or is no JSON.
     """
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # to read a pipe may take forever
-            raise ValueError("it is no ordinary file")
-        if status.st_size > MAX_CONFIG_BYTES:
-            raise ValueError(f"it has more than {MAX_CONFIG_BYTES:,} bytes")
-        return from_json(path.read_bytes())
+        return read_json(path, MAX_CONFIG_BYTES)
     except (OSError, *UNREADABLE) as error:
         raise damaged(path, error) from None
 

@@ -16,6 +16,7 @@ symbolic link; and code that its config names runs only if the user has named it
 """
 
 import contextlib
+import errno
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,15 +29,38 @@ from cgm_jax.config.grid import Run
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun
 from cgm_jax.storage.config_file import damaged
-from cgm_jax.storage.files import remove_partials, replacing
+from cgm_jax.storage.files import reading, remove_partials, replacing
 from cgm_jax.storage.layout import CONFIG, LAUNCH, METRICS, START, TABLE, check_parts
 from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.sweep_config import SweepConfig
 from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
+DISK_FAULTS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ESTALE)
+"""What the system answers where a disk is full, read-only, broken or away."""
+
 FOLDERS = ("policies", "policies/improvements", "figures", "checkpoints", "tracking")
 FILES = (CONFIG, START, METRICS, TABLE, LAUNCH)
+
+
+@contextlib.contextmanager
+def claiming(path: Path, *, fresh: bool = True) -> Iterator[None]:
+    """Tell a directory that was badly chosen from a disk that fails, which is nobody's input.
+
+    Args:
+        path: the directory that the block makes, or writes to.
+        fresh: whether it was chosen just now, and did not serve before.
+
+    Raises:
+        SettingError: it cannot be written to, as for want of rights.
+        OSError: the disk fails, or the directory served before.
+    """
+    try:
+        yield
+    except OSError as error:
+        if not fresh or error.errno in DISK_FAULTS:
+            raise
+        raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
 
 
 @dataclass(frozen=True)
@@ -55,7 +79,9 @@ class RunDirectory:
             fresh: whether it must not hold a sweep or a launch yet.
 
         Raises:
-            SettingError: it cannot be written to, it is not fresh, or a part of it leads elsewhere.
+            SettingError: it is fresh and cannot be written to, it is not fresh but is to be, or a
+                part of it leads elsewhere.
+            OSError: the disk fails, or it is not fresh and cannot be written to.
             InUseError: another process has it.
         """
         check_parts(path)
@@ -63,12 +89,10 @@ class RunDirectory:
         if fresh:
             directory.check_fresh()
         with contextlib.ExitStack() as stack:
-            try:
+            with claiming(path, fresh=fresh):
                 for part in ("policies/improvements", "figures", "checkpoints"):
                     (path / part).mkdir(parents=True, exist_ok=True)
                 stack.enter_context(locked(path))
-            except OSError as error:
-                raise SettingError(f"out: cannot write to {path}: {error.strerror}") from None
             if fresh:  # also of a process that had the lock until now
                 directory.check_fresh()
             directory.remove_partials()
@@ -138,9 +162,14 @@ class RunDirectory:
             file.write(to_lines(rows).encode())
 
     def count_metrics(self) -> int | None:
-        """How many lines metrics.jsonl has, whole or torn; None if it is not there."""
+        """How many lines metrics.jsonl has, whole or torn; None if it is not there.
+
+        Raises:
+            ReadError: it is there, but cannot be read.
+        """
         path = self.path / METRICS
-        return len(path.read_bytes().splitlines()) if path.exists() else None
+        with reading(path):
+            return len(path.read_bytes().splitlines()) if path.exists() else None
 
     def set_metrics_aside(self) -> Path:
         """Give metrics.jsonl another name, metrics.jsonl.1 or the next that is free; return it.
@@ -163,10 +192,12 @@ class RunDirectory:
         """What can be read of metrics.jsonl, by run, each epoch once; nothing if it is not there.
 
         Raises:
-            OSError: the file is there, but cannot be read.
+            ReadError: the file is there, but cannot be read.
         """
         path, found = self.path / METRICS, dict[tuple[str, int], Row]()
-        for line in path.read_bytes().splitlines() if path.exists() else []:
+        with reading(path):
+            lines = path.read_bytes().splitlines() if path.exists() else []
+        for line in lines:
             with contextlib.suppress(*UNREADABLE):
                 row = from_json(line)
                 check_row(row)

@@ -5,6 +5,7 @@ the user has named it (config/named.py).
 """
 
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -113,13 +114,14 @@ class SweepConfig:
         """Bring a lost or torn config.json back from a checkpoint; return a line if that was done.
 
         Raises:
-            SettingError: it cannot be written, or a part of the directory leads elsewhere.
+            SettingError: a part of the directory leads elsewhere.
+            ReadError: it, or a checkpoint, cannot be read just now.
+            OSError: it cannot be written.
         """
         check_parts(self.directory)
-        try:
-            return restore_config(self.path, self._checkpoints)
-        except OSError as error:
-            raise SettingError(f"out: cannot write to {self.directory}: {error.strerror}") from None
+        if not os.path.isdir(self.directory):  # noqa: PTH112 -- nor a name that is too long
+            return None
+        return restore_config(self.path, self._checkpoints)
 
     def read(self) -> dict[str, Any]:
         """What config.json says, in the present format, unchecked but for its outline.

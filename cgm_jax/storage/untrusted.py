@@ -1,6 +1,8 @@
-"""JSON that may come from anybody: how deep it may nest, and what reading its values raises."""
+"""JSON that may come from anybody: how large and deep it may be, and what reading it raises."""
 
 import json
+import stat
+from pathlib import Path
 from typing import Any
 
 UNREADABLE = (
@@ -10,8 +12,27 @@ UNREADABLE = (
 """What is raised by reading a file whose values are of other types than they should be, besides
 OSError."""
 
+MAX_CONFIG_BYTES = 2**28
+"""Of a config.json with as many runs as a sweep may have."""
+
 MAX_DEPTH = 100
 """Of lists and objects within each other; ours have less than ten."""
+
+
+def read_json(path: Path, most_bytes: int) -> Any:
+    """The value that a file holds.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no ordinary file, has more bytes than that, or is no JSON.
+        RecursionError: it nests too deep.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):  # to read a pipe may take forever
+        raise ValueError("it is no ordinary file")
+    if status.st_size > most_bytes:
+        raise ValueError(f"it has more than {most_bytes:,} bytes")
+    return from_json(path.read_bytes())
 
 
 def from_json(text: str | bytes) -> Any:

@@ -1,5 +1,7 @@
 import contextlib
+import errno
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -17,6 +19,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.results.page import page as page_module
 from cgm_jax.results.page.page import unpacked
+from cgm_jax.storage import checkpoints
 from cgm_jax.storage.checkpoints import write_manifest
 from tests.cgm_jax.results.page.made import directory, follow_on, grid, timed_run
 from tests.cgm_jax.sweeps import ROOT
@@ -137,6 +140,21 @@ def test_a_torn_config_comes_back_from_a_checkpoint(
     (path / "config.json").write_text("{}")  # somebody may have edited it
     with pytest.raises(SettingError, match=r"damaged: .*; without this file it comes back from a"):
         report.main([str(path)])
+
+
+def test_a_config_that_cannot_be_read_just_now_is_refused_and_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = directory(tmp_path / "run", timed_run([0.0, 0.5]))
+
+    def stale(*_: Any) -> Any:
+        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+    monkeypatch.setattr(checkpoints, "read_json", stale)
+    line = f"^cannot read {path / 'config.json'}: Stale file handle$"
+    with pytest.raises(SettingError, match=line):
+        report.main([str(path)])
+    assert {file.name for file in path.iterdir()} == {"config.json", "metrics.jsonl"}
 
 
 def test_two_at_once_both_write_a_whole_page(

@@ -21,7 +21,9 @@ from cgm_jax.host.checkpoint import (
 )
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
+from cgm_jax.storage import checkpoints
 from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoints, position
+from cgm_jax.storage.files import ReadError
 from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.probe import TINY, tiny
 from tests.examples.point_mass import PointMass
@@ -127,6 +129,34 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(
     assert not damaged.exists()  # set aside, so that it does not count as one of the two kept
     assert Path(f"{damaged}.damaged").exists()
     assert load(tmp_path)[1] == []
+
+
+def stale(*_: Any, **__: Any) -> Any:
+    raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [(checkpoints, "read_json"), (hashlib, "file_digest"), (np.lib.format, "read_array")],
+)
+def test_a_checkpoint_that_cannot_be_read_just_now_stays_where_it_is(
+    module: Any,
+    name: str,
+    tmp_path: Path,
+    state: TrainingState,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    save(tmp_path, state, epoch=1)
+    last = save(tmp_path, state, epoch=2)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, stale)
+        with pytest.raises(ReadError, match="Stale file handle") as caught:
+            load(tmp_path)
+    assert Path(caught.value.filename).stem == last.stem
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    training, notes = load(tmp_path)
+    assert (training.epoch, notes) == (2, [])
 
 
 def test_a_checkpoint_that_was_never_finished_does_not_count(

@@ -2,11 +2,13 @@
 
 import contextlib
 import errno
+import hashlib
 import os
 import re
 import resource
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,8 +16,18 @@ from typing import Any
 import pytest
 
 from cgm_jax import sweep
+from cgm_jax.host import runner, session
+from cgm_jax.storage import checkpoints, run_directory
 from cgm_jax.storage.sweep_config import SweepConfig
-from tests.cgm_jax.host.in_process import ALWAYS, EPOCHS, RUNS, at_epoch, stop_at_epoch, train
+from tests.cgm_jax.host.in_process import (
+    ALWAYS,
+    EPOCHS,
+    OPTIONS,
+    RUNS,
+    at_epoch,
+    stop_at_epoch,
+    train,
+)
 from tests.cgm_jax.sweeps import assert_same_results, rows
 
 pytestmark = pytest.mark.usefixtures("in_process")
@@ -193,6 +205,79 @@ def test_a_damaged_config_comes_back_from_a_checkpoint(
     assert_same_results(whole, out)
 
 
+def stale(*_: Any, **__: Any) -> Any:
+    raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "file"),
+    [
+        (hashlib, "file_digest", "checkpoints/group0_epoch000003_cycle000000.npz"),
+        (checkpoints, "read_json", "config.json"),
+        (runner, "load_checkpoint", None),
+    ],
+)
+def test_what_cannot_be_read_just_now_ends_the_sweep_which_goes_on_from_it_later(
+    module: Any,
+    name: str,
+    file: str | None,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    stop_at_epoch(monkeypatch, 3, out, *ALWAYS)
+    before = {path: path.read_bytes() for path in (out / "checkpoints").iterdir()}
+    capsys.readouterr()
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, stale)
+        assert train(out) == 74
+    what = f"write to {out}" if file is None else f"read {out / file}"
+    error, advice = capsys.readouterr().err.splitlines()[-2:]
+    assert error == f"error: cannot {what}: Stale file handle"
+    assert advice == f"to resume: {sys.executable} -m cgm_jax.sweep --resume {out}"
+    assert {path: path.read_bytes() for path in (out / "checkpoints").iterdir()} == before
+    assert train(out) == 0
+    assert_same_results(whole, out)
+
+
+def test_a_full_disk_on_which_a_lost_config_cannot_come_back_ends_with_the_way_to_resume(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    (out / "config.json").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "replacing", full)
+        assert train(out) == 74
+    error, advice = capsys.readouterr().err.splitlines()
+    assert error == f"error: cannot write to {out}: No space left on device"
+    assert advice.startswith("to resume: ")
+    assert train(out) == 0
+
+
+def full(*_: Any, **__: Any) -> Any:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_without_room_for_its_directory_nothing_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for module, name, out in (
+        (run_directory, "locked", tmp_path / "out"),
+        (session, "_made", None),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, full)
+            assert sweep.main([*OPTIONS, *(["--out", str(out)] if out else [])]) == 74
+        assert capsys.readouterr().err.splitlines()[-2:] == [
+            f"error: cannot write to {out or 'runs'}: No space left on device",
+            "nothing was begun",
+        ]
+
+
 @contextlib.contextmanager
 def file_sizes_limited_within() -> Iterator[Callable[[int], None]]:
     """Hands out a function that limits the size of files, a full disk as it were, for the block."""
@@ -224,9 +309,6 @@ def test_without_room_for_its_config_nothing_is_begun_and_the_same_command_begin
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
         patch.setattr(SweepConfig, "replace", full)

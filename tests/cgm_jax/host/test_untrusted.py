@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from cgm_jax import evaluate, sweep
+from cgm_jax import evaluate, report, sweep
 from cgm_jax.config import allowed, named
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
@@ -134,6 +134,23 @@ def test_naming_the_file_beside_the_directory_is_accepted_and_remembered(untrust
         file.write("# edited\n")
     with pytest.raises(SettingError, match=r"x.py has changed since you named it on this machine"):
         evaluate.main([str(untrusted)])
+
+
+@pytest.mark.parametrize("program", [evaluate, report])
+def test_a_config_beyond_all_measure_is_not_read(
+    program: Any, untrusted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (untrusted / CONFIG).open("wb") as file:
+        file.truncate(6 * 2**30)
+    read = Path.read_bytes
+
+    def read_small(path: Path) -> bytes:
+        assert path.stat().st_size < 2**30
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", read_small)
+    with pytest.raises(SettingError, match="it has more than 268,435,456 bytes"):
+        program.main([str(untrusted)])
 
 
 def test_the_refusal_is_one_line_and_exit_code_2(untrusted: Path) -> None:

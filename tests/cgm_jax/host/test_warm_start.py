@@ -4,8 +4,10 @@
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
 
 import dataclasses
+import errno
 import functools
 import hashlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from cgm_jax.loop.training import Programs, make_programs, make_trainer
 from cgm_jax.replay.ring import Episodes
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import write_manifest
+from cgm_jax.storage.files import ReadError
 from cgm_jax.storage.policies import policy_arrays
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.archives import spoil
@@ -209,6 +212,21 @@ def test_masks_that_a_policy_sees_are_taken_over() -> None:
     kernel = start_from(policy, programs, hyper, fresh).agent.actor["params"]["layer_0"]["kernel"]
     np.testing.assert_array_equal(kernel[0, :6], policy["layer_0_kernel"])
     np.testing.assert_array_equal(kernel[0, 6:], policy["mask_weights"])
+
+
+def test_a_checkpoint_that_cannot_be_read_just_now_is_not_passed_over(
+    directory: tuple[Path, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = directory
+
+    def stale(*_: Any) -> Any:
+        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+    monkeypatch.setattr(hashlib, "file_digest", stale)
+    (checkpoint,) = (path / "checkpoints").glob("*.npz")
+    with pytest.raises(ReadError) as caught:
+        read_source(path, SECOND)
+    assert caught.value.filename == str(checkpoint)
 
 
 def test_a_checkpoint_with_damaged_bytes_under_the_right_checksum_is_refused(

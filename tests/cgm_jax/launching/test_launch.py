@@ -1,5 +1,6 @@
 """The command: what it refuses, what it takes for granted, and a whole launch on this machine."""
 
+import errno
 import importlib.util
 import os
 import shutil
@@ -13,6 +14,7 @@ import pytest
 
 from cgm_jax import launch as program
 from cgm_jax.config.fields import SettingError
+from cgm_jax.host import session
 from cgm_jax.launching import check, local, ray, slurm
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
@@ -20,6 +22,7 @@ from cgm_jax.launching.local import Local
 from cgm_jax.launching.progress import JointProgress, Rows
 from cgm_jax.launching.slurm import sbatch_options
 from cgm_jax.machine.allotment import MEMORY_VARIABLE
+from cgm_jax.storage import run_directory
 from cgm_jax.storage.lock import InUseError, locked
 from cgm_jax.storage.metrics import to_lines
 from tests.cgm_jax.launching.launches import (
@@ -209,6 +212,49 @@ def test_a_sweeps_directory_is_refused_before_the_sweep_is_checked(
     (folder / name).write_text("theirs")  # without --out the working directory may hold anything
     monkeypatch.setattr(program, "check_sweep", lambda *_: None)
     assert program.main(["--jobs", "2", *SMOKE]) == 0
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_full_disk_ends_a_launch_that_begins_with_74(
+    named: bool,
+    folder: Path,
+    planned: list[Launch],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(*_: Any) -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    words = ["--jobs", "2", *(["--out", "out"] if named else []), *SMOKE]
+    out, where = folder / "out", (run_directory, "locked") if named else (session, "_made")
+    with monkeypatch.context() as patch:
+        patch.setattr(*where, full)
+        assert program.main(words) == 74
+    place = out if named else "runs"
+    error, advice = capsys.readouterr().err.splitlines()
+    assert error == f"error: cannot write to {place}: No space left on device"
+    assert advice == "nothing was begun"
+    monkeypatch.setattr(Launch, "write", full)
+    assert program.main(words) == 74
+    assert not planned
+
+
+def test_a_full_disk_ends_a_launch_that_goes_on_with_74(
+    folder: Path,
+    planned: list[Launch],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def refused(*_: Any) -> Any:
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+
+    assert program.main(["--jobs", "2", "--out", "out", *SMOKE]) == 0
+    monkeypatch.setattr(run_directory, "locked", refused)
+    assert program.main(["--resume", "out"]) == 74
+    error, advice = capsys.readouterr().err.splitlines()[-2:]
+    assert error == f"error: cannot write to {folder / 'out'}: Permission denied"
+    assert advice.endswith(f"cgm_jax.launch --resume {folder / 'out'}")
+    assert len(planned) == 1
 
 
 def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:

@@ -1,9 +1,11 @@
 """Parts of a sweep, made up, put together; real ones are in launching/test_local.py."""
 
 import csv
+import errno
 import hashlib
 import io
 import json
+import os
 import re
 import shlex
 import shutil
@@ -19,7 +21,8 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, build_groups
 from cgm_jax.config.named import load_named, name_now
 from cgm_jax.config.shards import cut
-from cgm_jax.results import figures
+from cgm_jax.results import figures, merging
+from cgm_jax.storage import run_directory
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import damage, finished_checkpoints, write_manifest
 from cgm_jax.storage.metrics import Row, to_lines
@@ -113,6 +116,25 @@ def test_merged_parts_are_one_sweep(parts: list[Path], tmp_path: Path) -> None:
     assert directory.config.restore() is not None
     assert [r.name for group in directory.config.groups() for r in group.runs] == names
     assert not list(tmp_path.glob("new/.*"))
+
+
+def test_a_full_disk_ends_a_merge_with_74_and_leaves_nothing(
+    parts: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(*_: Any) -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    before = sorted(tmp_path.rglob("*"))
+    for module, name in ((run_directory, "locked"), (merging, "write_manifest")):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, full)
+            assert run(*parts, "--out", tmp_path / "out") == 74
+        line = f"error: cannot write to {tmp_path / 'out'}: No space left on device\n"
+        assert capsys.readouterr().err == line
+        assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_where_a_part_has_a_table_the_whole_has_one(parts: list[Path], tmp_path: Path) -> None:

@@ -1,11 +1,12 @@
 import contextlib
+import errno
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
 from cgm_jax.storage import provenance, run_directory
-from cgm_jax.storage.files import PARTIAL
+from cgm_jax.storage.files import PARTIAL, ReadError
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
@@ -236,6 +237,52 @@ def test_whoever_claims_a_directory_removes_what_killed_processes_left_half_writ
     with RunDirectory.claimed(tmp_path, fresh=False):
         pass
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == kept | {page}
+
+
+def refusing(number: int) -> Callable[[Path], Any]:
+    """A lock that the system refuses."""
+
+    def locked(_: Path) -> Any:
+        raise OSError(number, os.strerror(number))
+
+    return locked
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO])
+@pytest.mark.parametrize("fresh", [True, False])
+def test_a_disk_that_fails_is_no_bad_input(
+    fresh: bool, number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_directory, "locked", refusing(number))
+    with pytest.raises(OSError) as caught, RunDirectory.claimed(tmp_path, fresh=fresh):  # noqa: PT011
+        pass
+    assert caught.value.errno == number
+
+
+def test_a_directory_that_may_not_be_written_to_is_bad_input_unless_it_served_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_directory, "locked", refusing(errno.EACCES))
+    line = f"^out: cannot write to {tmp_path}: Permission denied$"
+    with pytest.raises(SettingError, match=line), RunDirectory.claimed(tmp_path, fresh=True):
+        pass
+    with pytest.raises(PermissionError), RunDirectory.claimed(tmp_path, fresh=False):
+        pass
+
+
+def test_metrics_that_cannot_be_read_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "metrics.jsonl").touch()
+
+    def stale(_: Path) -> bytes:
+        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+    monkeypatch.setattr(Path, "read_bytes", stale)
+    for read in (RunDirectory(tmp_path).former_metrics, RunDirectory(tmp_path).count_metrics):
+        with pytest.raises(ReadError) as caught:
+            read()
+        assert caught.value.filename == str(tmp_path / "metrics.jsonl")
 
 
 CONFIGS = {

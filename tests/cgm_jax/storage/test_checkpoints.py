@@ -1,0 +1,115 @@
+"""What is damage of a checkpoint or a config, and what only cannot be read just now."""
+
+import errno
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgm_jax.storage import checkpoints
+from cgm_jax.storage.checkpoints import (
+    damage,
+    finished_checkpoints,
+    format_of,
+    holds_config,
+    manifest_path,
+    restore_config,
+    write_manifest,
+)
+from cgm_jax.storage.files import ReadError
+
+CONFIG = b'{"format": 2}\n'
+
+
+def stale(*_: Any) -> Any:
+    raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    """A finished one, as far as files tell."""
+    path = tmp_path / "checkpoints" / "group0_epoch000001_cycle000000.npz"
+    path.parent.mkdir()
+    path.write_bytes(b"whole")
+    write_manifest(path, hashlib.sha256(b"whole").hexdigest(), len(b"whole"), CONFIG)
+    return path
+
+
+def test_a_file_that_is_gone_is_damage(checkpoint: Path) -> None:
+    assert damage(checkpoint) is None
+    checkpoint.unlink()
+    assert damage(checkpoint) == "No such file or directory"
+    manifest_path(checkpoint).unlink()
+    assert damage(checkpoint) == "its manifest cannot be read"
+    assert finished_checkpoints(checkpoint.parent) == []
+    assert finished_checkpoints(checkpoint.parent / "none") == []
+
+
+def test_bytes_that_cannot_be_read_just_now_are_no_damage(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checkpoints.hashlib, "file_digest", stale)
+    with pytest.raises(ReadError) as caught:
+        damage(checkpoint)
+    assert (caught.value.errno, caught.value.filename) == (errno.ESTALE, str(checkpoint))
+
+
+def test_a_manifest_that_cannot_be_read_just_now_is_no_damage(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checkpoints, "read_json", stale)
+    for read in (damage, format_of):
+        with pytest.raises(ReadError) as caught:
+            read(checkpoint)
+        assert caught.value.filename == str(manifest_path(checkpoint))
+    assert holds_config(checkpoint.parent) is False  # which is only a hint
+
+
+def test_a_directory_that_cannot_be_read_just_now_is_not_empty(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "iterdir", stale)
+    with pytest.raises(ReadError) as caught:
+        finished_checkpoints(checkpoint.parent)
+    assert caught.value.filename == str(checkpoint.parent)
+
+
+def test_a_config_that_cannot_be_read_just_now_is_left_alone(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tmp_path / "config.json"
+    config.write_bytes(b'{"format": 2, "edited": true}')
+    before = sorted(tmp_path.rglob("*"))
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "read_json", stale)
+        with pytest.raises(ReadError) as caught:
+            restore_config(config, checkpoint.parent)
+    assert caught.value.filename == str(config)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert json.loads(config.read_bytes())["edited"]
+
+
+def test_files_beyond_all_measure_are_damage_and_are_not_read(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tmp_path / "config.json"
+    with config.open("wb") as file:
+        file.truncate(checkpoints.MAX_CONFIG_BYTES + 1)
+    read = Path.read_bytes
+
+    def read_small(path: Path) -> bytes:
+        assert path.stat().st_size < 2**20
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", read_small)
+    line = restore_config(config, checkpoint.parent)
+    assert line is not None
+    assert f"was damaged and is set aside as {config}.damaged; restored from {checkpoint}" in line
+    assert config.read_bytes() == CONFIG
+    with manifest_path(checkpoint).open("r+b") as file:
+        file.truncate(checkpoints.MAX_MANIFEST_BYTES + 1)
+    assert damage(checkpoint) == "its manifest cannot be read"
+    assert holds_config(checkpoint.parent) is False
