@@ -5,6 +5,7 @@ metrics.jsonl, and they go along, so that `sweep --resume` takes the merged dire
 is, a finished sweep. Nothing of the user's own code runs for that.
 """
 
+import hashlib
 import json
 import os
 import re
@@ -30,13 +31,18 @@ from cgm_jax.storage.checkpoints import (
     position_of,
     write_manifest,
 )
+from cgm_jax.storage.config_file import start_beside
 from cgm_jax.storage.files import replacing
+from cgm_jax.storage.layout import CONFIG, START
 from cgm_jax.storage.metrics import Row, check_rows, from_lines
 from cgm_jax.storage.run_directory import RunDirectory
 from cgm_jax.storage.untrusted import UNREADABLE
 
 PROVENANCE = ("versions", "python", "commit", "device", "flags", "variables", "machine", "files")
 """Of these each part keeps its own, since parts may have been trained on several machines."""
+
+KEPT = ("command", "started", "resumed", "from", *PROVENANCE)
+"""Of a part's config, beside its runs."""
 
 BITS = ("versions", "python", "commit", "device", "flags", "variables", "files")
 """Those on which results depend, machines aside, which are many where there are parts."""
@@ -52,12 +58,21 @@ class Piece:
 
 @dataclass(frozen=True)
 class Part:
-    """A finished part of a sweep."""
+    """A finished part of a sweep.
+
+    Attributes:
+        path: its run directory.
+        config: what its config.json says.
+        shard: which part it is.
+        pieces: its groups of runs, in order.
+        start: SHA-256 of start.npz, from which it began; None for from scratch.
+    """
 
     path: Path
     config: dict[str, Any]
     shard: Shard
     pieces: list[Piece]
+    start: str | None
 
 
 def read_parts(paths: Sequence[Path]) -> list[Part]:
@@ -85,6 +100,7 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
         shards[path] = shard
     _check_complete(list(shards.values()))
     parts = [_read_part(path, directory, shards[path]) for path, directory in opened]
+    _check_same_start(parts)
     return with_same_names(sorted(parts, key=lambda part: part.shard.part))
 
 
@@ -102,18 +118,37 @@ def _check_complete(shards: Sequence[Shard]) -> None:
         )
 
 
+def _check_same_start(parts: Sequence[Part]) -> None:
+    """Check that parts began from the same, which the merged directory can begin anew from.
+
+    Raises:
+        SettingError: they did not.
+    """
+    first = parts[0]
+    for part in parts[1:]:
+        then, there = (one.config.get("from") or "nothing" for one in (part, first))
+        if then != there:
+            raise SettingError(
+                f"from: {part.path} was begun from {then}, but {first.path} from {there}"
+            )
+        if part.start != first.start:
+            raise SettingError(f"from: {part.path / START} is not the same as {first.path / START}")
+
+
 def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
     config = directory.config.read()
     try:
         pieces = [
             _read_piece(path, index, entry["runs"]) for index, entry in enumerate(config["groups"])
         ]
+        start = start_beside(path / CONFIG)
+        digest = None if start is None else _digest(start)
     except (*UNREADABLE, OSError) as error:
         if isinstance(error, SettingError):
             raise
         text = str(error).partition("\n")[0]
         raise SettingError(f"{path} cannot be read: {type(error).__name__}: {text}") from None
-    part = Part(path, config, shard, pieces)
+    part = Part(path, config, shard, pieces, digest)
     for name in _policies(part):
         if not (path / "policies" / name).is_file():
             raise SettingError(f"{path / 'policies' / name} is missing; {_resume(path)}")
@@ -151,6 +186,11 @@ def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece
 def _among(names: dict[str, str], row: Row) -> dict[str, str]:
     """Names of own code as the config has them now: its files may have moved since."""
     return {kind: name for kind, name in names.items() if kind in row}
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _unfinished(path: Path, epoch: int, epochs: int) -> SettingError:
@@ -191,6 +231,9 @@ def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:
         shutil.rmtree(out / name, ignore_errors=True)
         (out / name).mkdir(parents=True)
     (out / "policies/improvements").mkdir()
+    (out / START).unlink(missing_ok=True)
+    if parts[0].start is not None:
+        _copy(parts[0].path / START, out / START)
     config = _merged_config(parts)
     data = (json.dumps(config, indent=2) + "\n").encode()
     pieces = [piece for part in parts for piece in part.pieces]
@@ -228,12 +271,7 @@ def _merged_config(parts: Sequence[Part]) -> dict[str, Any]:
         "started": min(str(part.config.get("started", "")) for part in parts),
         "groups": [group for part in parts for group in part.config["groups"]],
         "parts": [
-            {
-                name: part.config[name]
-                for name in ("command", "started", "resumed", *PROVENANCE)
-                if name in part.config
-            }
-            for part in parts
+            {name: part.config[name] for name in KEPT if name in part.config} for part in parts
         ],
     }
 

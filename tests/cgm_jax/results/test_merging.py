@@ -21,6 +21,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, build_groups
 from cgm_jax.config.named import load_named, name_now
 from cgm_jax.config.shards import cut
+from cgm_jax.host.settings_file import read_settings_file
 from cgm_jax.results import figures, merging
 from cgm_jax.storage import run_directory
 from cgm_jax.storage.arrays import write_arrays
@@ -47,12 +48,26 @@ def row(run: Run, epoch: int, **values: Any) -> Row:
 
 
 def train(
-    path: Path, groups: list[Group], part: int, parts: int, *, until: int = EPOCHS, **values: Any
+    path: Path,
+    groups: list[Group],
+    part: int,
+    parts: int,
+    *,
+    until: int = EPOCHS,
+    start: tuple[str, int] | None = None,
+    **values: Any,
 ) -> Path:
-    """Make the directory that training a part up to an epoch would leave."""
+    """Make the directory that training a part up to an epoch would leave.
+
+    `start` is what it began from: what that was called, and what it held.
+    """
     pieces, shard = cut(groups, part, parts)
     with RunDirectory.claimed(path, fresh=True) as directory:
-        directory.config.write(pieces, "smoke", "1 x cpu", shard=shard)
+        origin = None
+        if start is not None:
+            origin, number = start
+            directory.write_start({"array": np.array(number)})
+        directory.config.write(pieces, "smoke", "1 x cpu", shard=shard, origin=origin)
         all_rows = []
         for index, group in enumerate(pieces):
             own = [row(r, e, **values) for e in range(1, until + 1) for r in group.runs]
@@ -116,6 +131,32 @@ def test_merged_parts_are_one_sweep(parts: list[Path], tmp_path: Path) -> None:
     assert directory.config.restore() is not None
     assert [r.name for group in directory.config.groups() for r in group.runs] == names
     assert not list(tmp_path.glob("new/.*"))
+
+
+def test_what_parts_began_from_goes_along(tmp_path: Path) -> None:
+    start = ("/there", 7)
+    parts = [train(tmp_path / f"part{i}", whole(), i, 2, start=start) for i in (1, 2)]
+    out = tmp_path / "out"
+    assert run(*parts, "--out", out) == 0
+    assert (out / "start.npz").read_bytes() == (parts[1] / "start.npz").read_bytes()
+    config = json.loads((out / "config.json").read_text())
+    assert [config["from"], *(part["from"] for part in config["parts"])] == ["/there"] * 3
+    assert read_settings_file(out).start == out / "start.npz"  # which trains it again
+
+
+def test_parts_that_began_from_something_else_are_refused(tmp_path: Path) -> None:
+    first = train(tmp_path / "first", whole(), 1, 2, start=("/there", 7))
+    for name, start, line in (
+        ("nothing", None, "{second} was begun from nothing, but {first} from /there"),
+        ("other", ("/elsewhere", 7), "{second} was begun from /elsewhere, but {first} from /there"),
+        ("later", ("/there", 8), "{second}/start.npz is not the same as {first}/start.npz"),
+    ):
+        second = train(tmp_path / name, whole(), 2, 2, start=start)
+        line = line.format(first=first, second=second)
+        assert refused(tmp_path, first, second, "--out", tmp_path / "out") == f"from: {line}"
+    (first / "start.npz").unlink()
+    line = refused(tmp_path, first, second, "--out", tmp_path / "out")
+    assert line.endswith(f"{first / 'start.npz'} is missing")
 
 
 def test_a_full_disk_ends_a_merge_with_74_and_leaves_nothing(
@@ -355,6 +396,8 @@ def test_a_merge_that_was_killed_leaves_nothing_in_the_way(
     rest = tmp_path / ".out.merging" / "policies"
     rest.mkdir(parents=True)
     (rest / "rest.npz").write_text("of another sweep")
+    (rest.parent / "start.npz").write_text("of another sweep")
     assert run(*parts, "--out", tmp_path / "out") == 0
+    assert not (tmp_path / "out/start.npz").exists()
     assert not (tmp_path / "out/policies/rest.npz").exists()
     assert not rest.exists()
