@@ -19,7 +19,7 @@ from cgm_jax.host.jobs import Job
 from cgm_jax.host.pace import CHUNK_SECONDS, Pace
 from cgm_jax.host.progress import SweepProgress
 from cgm_jax.host.recorder import Recorder
-from cgm_jax.host.warm_start import read_source, start_from
+from cgm_jax.host.warm_start import Arrays, check_start, read_source, start_from
 from cgm_jax.host.watchdog import watchdog
 from cgm_jax.loop.compiler import Compiler, is_compiling, wait_for
 from cgm_jax.loop.cutting import WHOLE
@@ -28,6 +28,7 @@ from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
+from cgm_jax.storage.checkpoints import finished_checkpoints
 from cgm_jax.storage.config_file import start_beside
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.metrics import Row, check_rows
@@ -61,7 +62,8 @@ def run_jobs(
         DeviceError: the physics, the memory or something else below has failed.
         OSError: metrics, or a job's last checkpoint, cannot be written; or, as a ReadError says,
             read.
-        SettingError: a checkpoint holds the state of another program.
+        SettingError: a checkpoint holds the state of another program, or what a job was to start
+            from is gone.
     """
     rows, last, former = [], [], directory.former_metrics()
     known = sum(len(former.get(run.name, ())) for job in jobs for run in job.group.runs)
@@ -102,6 +104,32 @@ def check_last_checkpoints(jobs: Sequence[Job], directory: RunDirectory) -> None
         check_last_checkpoint(directory.path / "checkpoints", index, _shapes(job))
 
 
+def check_starts(jobs: Sequence[Job], directory: RunDirectory) -> None:
+    """Check that jobs without a checkpoint can start from what the sweep started from.
+
+    Raises:
+        SettingError: one cannot.
+        ReadError: the checkpoints cannot be read just now.
+    """
+    for index, job in enumerate(jobs):
+        if not finished_checkpoints(directory.path / "checkpoints", index):
+            _start(job, directory)
+
+
+def _start(job: Job, directory: RunDirectory) -> Arrays | None:
+    """What a job that begins starts from, which fits; None for from scratch.
+
+    Raises:
+        SettingError: it is missing or damaged, or does not fit.
+    """
+    path = start_beside(directory.path / CONFIG)
+    if path is None:
+        return None
+    start = read_source(path)
+    check_start(start, job.programs, job.group.hyper())
+    return start
+
+
 def _shapes(job: Job) -> TrainingState:
     """The training state of a job's runs, as mere shapes."""
     return jax.eval_shape(jax.vmap(job.programs.trainer.init), job.group.hyper())
@@ -125,6 +153,7 @@ def _begin(
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
         print(f"{note}; {where}", file=sys.stderr)
+    start = None if training else _start(job, directory)
     began = time.monotonic()
     with device_errors():
         if training is None or not _is_finished(job.group, training):
@@ -136,9 +165,8 @@ def _begin(
                     wait_for(program)
         if training is None:
             state = job.programs.start(hyper)
-            if (start := start_beside(directory.path / CONFIG)) is not None:
-                filled_up = job.programs.spread(hyper)
-                warm = start_from(read_source(start), job.programs, filled_up, state)
+            if start is not None:
+                warm = start_from(start, job.programs, job.programs.spread(hyper), state)
                 state = jax.device_put(warm, jax.tree.map(lambda leaf: leaf.sharding, state))
             training = TrainingProgress(state, runs=len(job.group.runs))
         else:

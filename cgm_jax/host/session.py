@@ -254,9 +254,10 @@ def _notes_on_resuming(
     """Check that jobs can resume, record what differs, and say so.
 
     Raises:
-        SettingError, ReadError: a checkpoint is refused; then nothing is recorded.
+        SettingError, ReadError: a checkpoint is refused, or what a job starts from; then nothing is
+            recorded.
     """
-    from cgm_jax.host.runner import check_last_checkpoints
+    from cgm_jax.host.runner import check_last_checkpoints, check_starts
 
     notes, epochs = ["resuming where it was stopped"], None
     changed = directory.config.changes_since_begun(device, groups, moved)
@@ -265,6 +266,7 @@ def _notes_on_resuming(
     except SettingError as error:
         reason = f"; it was begun with {', '.join(changed)}" if changed else ""
         raise SettingError(f"{error}{reason}") from None
+    check_starts(jobs, directory)
     if changed:
         notes.append(f"bits may differ, since it was begun with {', '.join(changed)}")
     before, now = (one[0].settings.epochs for one in (directory.config.groups(moved), groups))

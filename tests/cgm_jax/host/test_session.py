@@ -283,6 +283,34 @@ def test_a_sweep_starts_from_what_another_run_has_learned_also_when_it_begins_an
         sweep.main(["--config", str(again), "--out", str(tmp_path / "more")])
 
 
+def test_a_group_that_begins_anew_without_what_it_started_from_is_refused(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    start = ["--from", str(whole), "--from-run", rows(whole)[0]["run"]]
+    stop_at_epoch(monkeypatch, 1, out, *start)
+    kept = (out / "start.npz").read_bytes()
+    (out / "start.npz").unlink()
+    (last,) = (out / "checkpoints").glob("*.npz")
+    last.write_bytes(last.read_bytes()[:-1])  # of which only reading tells
+    line = rf"^from: .*config.json began from .*, but {out / 'start.npz'} is missing$"
+    with pytest.raises(SettingError, match=line):
+        sweep.main(["--resume", str(out)])
+    shutil.rmtree(out / "checkpoints")
+    monkeypatch.setenv("JAX_NOW", "x")  # which resuming would record
+    config = (out / "config.json").read_bytes()
+    with pytest.raises(SettingError, match=line):
+        sweep.main(["--resume", str(out)])
+    assert (out / "config.json").read_bytes() == config
+    with np.load(io.BytesIO(kept)) as file:
+        arrays = {name: file[name][..., :1] if file[name].ndim else file[name] for name in file}
+    np.savez(out / "start.npz", **arrays)
+    with pytest.raises(SettingError, match=r"^from: .* there and .* here$"):
+        sweep.main(["--resume", str(out)])
+    (out / "start.npz").write_bytes(kept)
+    assert sweep.main(["--resume", str(out)]) == 0
+
+
 def test_runs_that_diverge_are_named_and_marked_while_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
