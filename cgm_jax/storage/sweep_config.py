@@ -17,7 +17,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.named import absolute, is_own, require_named
-from cgm_jax.config.shards import Shard
+from cgm_jax.config.shards import MAX_PARTS, Shard
 from cgm_jax.storage.checkpoints import holds_config, restore_config
 from cgm_jax.storage.config_file import (
     attribute_of,
@@ -150,7 +150,8 @@ class SweepConfig:
                 return None
             shard = Shard(**{**entry, "swept": tuple(entry["swept"])})
             numbers, texts = (shard.part, shard.parts), (shard.sweep, *shard.swept)
-            if {type(number) for number in numbers} != {int} or not 1 <= shard.part <= shard.parts:
+            whole = {type(number) for number in numbers} == {int}
+            if not whole or not 1 <= shard.part <= shard.parts <= MAX_PARTS:
                 raise ValueError(f"shard {shard.part!r:.20} of {shard.parts!r:.20}")
             if not all(isinstance(text, str) for text in texts):
                 raise TypeError("shard: its names are no text")

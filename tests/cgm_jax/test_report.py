@@ -74,6 +74,11 @@ def _beyond_floats(path: Path) -> None:
     (path / "metrics.jsonl").write_text(json.dumps(row) + "\n")
 
 
+def _too_many_in_all(path: Path) -> None:
+    rows = [timed_run([0.5], seed, run=f"seed{seed}")[0] | {"env_steps": 1e308} for seed in (0, 1)]
+    (path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
 def _nested(path: Path) -> None:
     config = json.loads((path / "config.json").read_text()) | {"x": 0}
     nested = json.dumps(config).replace('"x": 0', f'"x": {"[" * 600}{"]" * 600}')
@@ -107,6 +112,7 @@ def _link(path: Path) -> None:
         (_words, "success_rate: 'much'"),
         (_more_than_all, "success_rate: 1.5"),
         (_beyond_floats, "env_steps: 1000"),
+        (_too_many_in_all, "metrics.jsonl is damaged: ValueError: env_steps: too many in all"),
         (_nested, "config.json is damaged: RecursionError"),
         (_no_json, "metrics.jsonl is damaged"),
         (_empty, "no finished epoch yet; try --follow"),

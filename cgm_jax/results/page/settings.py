@@ -37,8 +37,8 @@ class Distinction:
     def to_plain(self) -> dict[str, Any]:
         """As the page reads it."""
         texts = value_texts(self.name, self.values)
-        numbers = all(is_finite(value) for value in self.values)
         scale = 100 if self.name == "c_g" else 1
+        numbers = all(is_finite(value) and is_finite(scale * value) for value in self.values)
         return {
             "name": self.name,
             "title": title_of(self.name),
@@ -122,7 +122,8 @@ def _text(name: str, value: Any) -> str:
     if isinstance(value, bool):
         return "on" if value else "off"
     if is_finite(value):
-        return f"{100 * value:.10g} %" if name == "c_g" else f"{value:.10g}"
+        is_share = name == "c_g" and is_finite(100 * value)
+        return f"{100 * value:.10g} %" if is_share else f"{value:.10g}"
     if name == "curriculum":
         value = CURRICULA.get(value, value)
     if name == "agent" and isinstance(value, str) and ".py" not in value:

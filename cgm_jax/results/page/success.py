@@ -12,6 +12,9 @@ from cgm_jax.results.statistics import (
 )
 from cgm_jax.storage.metrics import Row
 
+MAX_EPISODES = 10**6
+"""Of an evaluation, as its setting allows; a config from elsewhere may say anything."""
+
 
 def final_success(run: TrainedRun, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Success over a run's last evaluations taken together, as `holds` judges it.
@@ -29,7 +32,9 @@ def final_success(run: TrainedRun, settings: Mapping[str, Any]) -> dict[str, Any
     rate = sum(row["success_rate"] or 0.0 for row in rows) / len(rows)
     found: dict[str, Any] = {"rate": rate, "evaluations": len(rows)}
     each = settings.get("evaluation_episodes")
-    if not isinstance(each, int) or each < 1 or any(_valid(row, each) != each for row in rows):
+    if not isinstance(each, int) or not 1 <= each <= MAX_EPISODES:
+        return found
+    if any(_valid(row, each) != each for row in rows):
         return found
     episodes = each * len(rows)
     low, high = wilson_interval(min(round(rate * episodes), episodes), episodes)

@@ -118,6 +118,8 @@ def _check_runs(sweep: Sweep) -> None:
         epochs = [row["epoch"] for row in run.rows]
         if any(later <= earlier for earlier, later in itertools.pairwise(epochs)):
             raise ValueError(f"epochs of {run.name:.40} are not in order")
+    if not is_finite(sum(run.last_steps for run in sweep.runs)):
+        raise ValueError("env_steps: too many in all")
 
 
 def _told(rows: Sequence[Row]) -> list[str] | None:

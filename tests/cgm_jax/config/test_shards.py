@@ -11,7 +11,7 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
-from cgm_jax.config.shards import cut, digest, former_digest, parse_shard
+from cgm_jax.config.shards import MAX_PARTS, cut, digest, former_digest, parse_shard
 from cgm_jax.host.asked import Asked, asked_for
 from cgm_jax.host.command_line import parse
 from cgm_jax.host.session import _record_shard, _recorded_groups
@@ -142,6 +142,7 @@ def test_a_directory_knows_which_part_it_holds(groups: list[Group], tmp_path: Pa
     [
         {"part": 0},
         {"part": 4},
+        {"parts": MAX_PARTS + 1},  # each of which would be looked for
         {"part": "1"},
         {"sweep": 3},
         {"swept": None},

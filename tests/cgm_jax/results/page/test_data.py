@@ -157,6 +157,30 @@ def test_final_success_has_an_interval_where_all_episodes_were_valid(
     assert ("low" in final) == (episodes is not None)
 
 
+@pytest.mark.parametrize("episodes", [10**6 + 1, 10**19, 10**400, 0, 20.0, "20"], ids=range(6))
+def test_final_success_has_no_interval_where_episodes_are_no_number_of_any(episodes: Any) -> None:
+    rows = [{"success_rate": 0.5, "physics_warnings": 0}] * 3
+    final = final_success(TrainedRun("run", 0, {}, rows), {"evaluation_episodes": episodes})
+    assert final == {"rate": 0.5, "evaluations": 3}
+
+
+@pytest.mark.parametrize(
+    ("c_g", "text"),
+    [(1e308, "1e+308"), (10**308, "1e+308"), (0.4, "40 %")],
+    ids=["real", "whole", "share"],
+)
+def test_a_share_beyond_all_numbers_is_shown_as_it_is(
+    c_g: float, text: str, tmp_path: Path
+) -> None:
+    rows = timed_run([0.5], 0, ("c_g",), c_g=0.1) + timed_run(
+        [0.5], 0, ("c_g",), c_g=c_g, run="other"
+    )
+    (setting,) = data_of(directory(tmp_path / "run", rows))["settings"]
+    assert [value["text"] for value in setting["values"]] == ["10 %", text]
+    numbers = [value["number"] for value in setting["values"]]
+    assert numbers == ([10.0, 40.0] if c_g == 0.4 else [None, None])
+
+
 def test_what_has_misled_before(tmp_path: Path) -> None:
     data = data_of(troubled(tmp_path / "run"))
     runs = {run["name"]: run for run in data["runs"]}
