@@ -121,18 +121,19 @@ def _check_complete(shards: Sequence[Shard]) -> None:
 def _check_same_start(parts: Sequence[Part]) -> None:
     """Check that parts began from the same, which the merged directory can begin anew from.
 
+    What it holds decides, since on another machine it may have lain elsewhere.
+
     Raises:
         SettingError: they did not.
     """
     first = parts[0]
     for part in parts[1:]:
-        then, there = (one.config.get("from") or "nothing" for one in (part, first))
-        if then != there:
-            raise SettingError(
-                f"from: {part.path} was begun from {then}, but {first.path} from {there}"
-            )
         if part.start != first.start:
-            raise SettingError(f"from: {part.path / START} is not the same as {first.path / START}")
+            then, there = (one.config.get("from") or "nothing" for one in (part, first))
+            which = ", another one" if then == there else ""
+            raise SettingError(
+                f"from: {part.path} was begun from {then}{which}, but {first.path} from {there}"
+            )
 
 
 def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
