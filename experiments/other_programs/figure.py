@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from experiments.markdown import counted
 from experiments.other_programs.arms import NAMES, TASKS, label
@@ -48,6 +49,9 @@ def draw(out: Path, cpu_seconds: float) -> Path:
             for arm in NAMES:
                 draw_arm(panel, curves.get((task, arm), []), axis, arm)
             panel.set_xscale("log")
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+            panel.xaxis.set_minor_formatter(NullFormatter())
             panel.set_xlabel(title)
             panel.set_title(task.replace("_", "-"))
             panel.grid(alpha=0.3)
