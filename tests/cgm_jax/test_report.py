@@ -1,7 +1,6 @@
 import contextlib
 import errno
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from cgm_jax.results.page import page as page_module
 from cgm_jax.results.page.page import unpacked
 from cgm_jax.storage import checkpoints
 from cgm_jax.storage.checkpoints import write_manifest
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.results.page.made import directory, follow_on, grid, timed_run
 from tests.cgm_jax.sweeps import ROOT
 
@@ -153,8 +153,7 @@ def test_a_config_that_cannot_be_read_just_now_is_refused_and_left_alone(
 ) -> None:
     path = directory(tmp_path / "run", timed_run([0.0, 0.5]))
 
-    def stale(*_: Any) -> Any:
-        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+    stale = refusing(errno.ESTALE)
 
     monkeypatch.setattr(checkpoints, "read_json", stale)
     line = f"^cannot read {path / 'config.json'}: Stale file handle$"

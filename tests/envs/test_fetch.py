@@ -72,9 +72,8 @@ def test_starts_and_goals_follow_the_rules(env: FetchEnvironment) -> None:
         assert scipy.stats.kstest(height, scipy.stats.uniform(0, 0.45).cdf).pvalue > 0.01
 
 
+@pytest.mark.parametrize("env", ["push", "pick_and_place"], indirect=True)
 def test_the_object_settles_where_it_was_put(env: FetchEnvironment) -> None:
-    if not env.task.has_object:
-        pytest.skip("reach has no object")
     step, state = jax.jit(env.step), env.reset_to(jnp.array([1.25, 0.6]), jnp.zeros(3))
     for _ in range(15):
         state = step(state, jnp.zeros(4))

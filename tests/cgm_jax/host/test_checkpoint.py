@@ -26,6 +26,7 @@ from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoin
 from cgm_jax.storage.files import ReadError
 from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.probe import TINY, tiny
+from tests.cgm_jax.refusing import refusing
 from tests.examples.point_mass import PointMass
 
 # A ring of 80 slots, of which one cycle fills 8.
@@ -131,8 +132,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(
     assert load(tmp_path)[1] == []
 
 
-def stale(*_: Any, **__: Any) -> Any:
-    raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+stale = refusing(errno.ESTALE)
 
 
 @pytest.mark.parametrize(

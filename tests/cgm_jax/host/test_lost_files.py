@@ -28,6 +28,7 @@ from tests.cgm_jax.host.in_process import (
     stop_at_epoch,
     train,
 )
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.sweeps import assert_same_results, rows
 
 pytestmark = pytest.mark.usefixtures("in_process")
@@ -205,8 +206,7 @@ def test_a_damaged_config_comes_back_from_a_checkpoint(
     assert_same_results(whole, out)
 
 
-def stale(*_: Any, **__: Any) -> Any:
-    raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+stale, full = refusing(errno.ESTALE), refusing(errno.ENOSPC)
 
 
 @pytest.mark.parametrize(
@@ -255,10 +255,6 @@ def test_a_full_disk_on_which_a_lost_config_cannot_come_back_ends_with_the_way_t
     assert error == f"error: cannot write to {out}: No space left on device"
     assert advice.startswith("to resume: ")
     assert train(out) == 0
-
-
-def full(*_: Any, **__: Any) -> Any:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_without_room_for_its_directory_nothing_is_begun(

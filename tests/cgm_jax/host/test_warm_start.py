@@ -7,7 +7,6 @@ import dataclasses
 import errno
 import functools
 import hashlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from cgm_jax.storage.policies import policy_arrays
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.probe import TINY, tiny
+from tests.cgm_jax.refusing import refusing
 from tests.examples.point_mass import PointMass
 
 AGENTS = sorted(builtin("agent"))
@@ -219,8 +219,7 @@ def test_a_checkpoint_that_cannot_be_read_just_now_is_not_passed_over(
 ) -> None:
     path, _ = directory
 
-    def stale(*_: Any) -> Any:
-        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+    stale = refusing(errno.ESTALE)
 
     monkeypatch.setattr(hashlib, "file_digest", stale)
     (checkpoint,) = (path / "checkpoints").glob("*.npz")

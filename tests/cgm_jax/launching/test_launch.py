@@ -36,6 +36,7 @@ from tests.cgm_jax.launching.launches import (
     wait_for_checkpoint,
     wait_until,
 )
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.sweeps import POINT_MASS, rows
 
 
@@ -222,8 +223,7 @@ def test_a_full_disk_ends_a_launch_that_begins_with_74(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def full(*_: Any) -> Any:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    full = refusing(errno.ENOSPC)
 
     words = ["--jobs", "2", *(["--out", "out"] if named else []), *SMOKE]
     out, where = folder / "out", (run_directory, "locked") if named else (session, "_made")
@@ -245,8 +245,7 @@ def test_a_full_disk_ends_a_launch_that_goes_on_with_74(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def refused(*_: Any) -> Any:
-        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+    refused = refusing(errno.EACCES)
 
     assert program.main(["--jobs", "2", "--out", "out", *SMOKE]) == 0
     monkeypatch.setattr(run_directory, "locked", refused)

@@ -5,7 +5,6 @@ import errno
 import hashlib
 import io
 import json
-import os
 import re
 import shlex
 import shutil
@@ -29,6 +28,7 @@ from cgm_jax.storage.checkpoints import damage, finished_checkpoints, write_mani
 from cgm_jax.storage.metrics import Row, to_lines
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.archives import spoil
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.results.figures import made
 from tests.cgm_jax.sweeps import POINT_MASS, rows
 
@@ -169,8 +169,7 @@ def test_a_full_disk_ends_a_merge_with_74_and_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def full(*_: Any) -> Any:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    full = refusing(errno.ENOSPC)
 
     before = sorted(tmp_path.rglob("*"))
     for module, name in ((run_directory, "locked"), (merging, "write_manifest")):

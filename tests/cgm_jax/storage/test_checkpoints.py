@@ -3,9 +3,7 @@
 import errno
 import hashlib
 import json
-import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,12 +18,11 @@ from cgm_jax.storage.checkpoints import (
     write_manifest,
 )
 from cgm_jax.storage.files import ReadError
+from tests.cgm_jax.refusing import refusing
 
 CONFIG = b'{"format": 2}\n'
 
-
-def stale(*_: Any) -> Any:
-    raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+stale = refusing(errno.ESTALE)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from cgm_jax.storage import provenance, run_directory
 from cgm_jax.storage.files import PARTIAL, ReadError
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.sweeps import ROOT
 
 
@@ -239,15 +240,6 @@ def test_whoever_claims_a_directory_removes_what_killed_processes_left_half_writ
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == kept | {page}
 
 
-def refusing(number: int) -> Callable[[Path], Any]:
-    """A lock that the system refuses."""
-
-    def locked(_: Path) -> Any:
-        raise OSError(number, os.strerror(number))
-
-    return locked
-
-
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO])
 @pytest.mark.parametrize("fresh", [True, False])
 def test_a_disk_that_fails_is_no_bad_input(
@@ -275,8 +267,7 @@ def test_metrics_that_cannot_be_read_are_named(
 ) -> None:
     (tmp_path / "metrics.jsonl").touch()
 
-    def stale(_: Path) -> bytes:
-        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+    stale = refusing(errno.ESTALE)
 
     monkeypatch.setattr(Path, "read_bytes", stale)
     for read in (RunDirectory(tmp_path).former_metrics, RunDirectory(tmp_path).count_metrics):
