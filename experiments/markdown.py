@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+NOT_YET = "(not on record yet)"
+"""What stands in a sentence where a number will be."""
+
 
 class Table(NamedTuple):
     """A table of text; one without rows says so in a sentence."""

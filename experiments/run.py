@@ -4,6 +4,8 @@ Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP (`--runs`), 
 from where it stopped. What is done is then recorded in results/sweeps/SWEEP. From those records
 come tables and figures in results/QUESTION, and the tables and numbers of README.md.
 
+What is on record whole is not trained again, but with `--again`.
+
 `--train` trains and leaves the records as they are, so that a checkout stays at its commit;
 `--draw` trains nothing, records what is done and draws; `--report` only brings README.md up to
 date, and takes no question. `--only` trains, or records, some of the questions' sweeps.
@@ -33,6 +35,7 @@ from experiments.learning.plans import (
 from experiments.learning.records import (
     RecordedRun,
     Row,
+    is_whole,
     record,
     recorded_runs,
     recorded_settings,
@@ -107,6 +110,9 @@ def _parser(plans: Plans) -> argparse.ArgumentParser:
         "--only", nargs="+", default=[], metavar="SWEEP", help="of the questions' sweeps only these"
     )
     parser.add_argument(
+        "--again", action="store_true", help="train also what is on record, and replace it"
+    )
+    parser.add_argument(
         "--runs",
         type=Path,
         default=RUNS,
@@ -139,15 +145,18 @@ def main() -> None:
         parser.error(f"--only: {unknown[0]!r} is no sweep of theirs; there are {', '.join(sweeps)}")
     sweeps = list(dict.fromkeys(options.only or sweeps))
     if not (options.draw or options.report):
-        asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps}
+        there = {name for name in sweeps if is_whole(name) and not options.again}
+        for name in sorted(there):
+            print(f"{name}: on record; --again trains it again")
+        asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps if name not in there}
         train(asked_for, options.runs, options.at_once)
     if options.train:
         return
-    for sweep in sweeps:
-        trained = RunDirectory(options.runs / sweep)
-        if trained.holds_sweep():
-            record(trained, sweep)
     try:
+        for sweep in sweeps:
+            trained = RunDirectory(options.runs / sweep)
+            if trained.holds_sweep():
+                record(trained, sweep, planned_settings(plans.sweeps[sweep]))
         for name in options.questions:
             print(write_results(name, plans.questions[name], plans))
         README.write_text(regenerated(README.read_text()))

@@ -7,11 +7,13 @@ from typing import Any
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows, all with the keys of the first, as CSV."""
-    with path.open("w", newline="") as file:
+    """Write rows, all with the keys of the first, as CSV; a table of before is there until then."""
+    partial = path.with_name(f"{path.name}.partial")
+    with partial.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+    partial.replace(path)
 
 
 def read_table(path: Path) -> list[dict[str, str]]:

@@ -104,8 +104,6 @@ def look(setting: Setting) -> tuple[str, str]:
         return ("tab:orange", "tab:blue", "dimgray")[column], "--"
     if setting.masks == UNIFORM:
         return ("gold", "tab:cyan", "darkgray")[column], ":"
-    if setting.masks == "CGM, joint rates":
-        return ("tab:red", "tab:purple", "rosybrown")[column], ":"
     if setting.masks == "CGM, masks measured":
         return ("tab:brown", "tab:green", "darkseagreen")[column], ":"
     return ("tab:orange", "tab:blue", "black")[column], "-"

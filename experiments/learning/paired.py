@@ -114,7 +114,7 @@ def comparisons(runs: Runs) -> list[Row]:
     """
     settings = runs_by_setting(runs)
     table = []
-    for one, other in (pair for pair in _pairs(list(settings))):
+    for one, other in _pairs(list(settings)):
         seeds = sorted(settings[one].keys() & settings[other].keys())
         for level in LEVELS:
             arms = [[settings[key][seed] for seed in seeds] for key in (one, other)]

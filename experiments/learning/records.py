@@ -62,12 +62,14 @@ class RecordedRun:
 
     Attributes:
         sweep: the sweep that it belongs to.
+        name: its own name.
         settings: all settings that have an effect on it, in today's names.
         rows: its metrics, epoch by epoch.
         alone: whether it trained alone in its process, so that its seconds are its own.
     """
 
     sweep: str
+    name: str
     settings: Mapping[str, Any]
     rows: Sequence[Row]
     alone: bool
@@ -88,17 +90,36 @@ class RecordedRun:
         return self.settings["epochs"] * (self.rows[0]["env_steps"] // self.rows[0]["epoch"])
 
 
-def record(trained: RunDirectory, sweep: str) -> None:
-    """Keep the config and the rows of all runs that are done."""
-    rows = trained.metrics()
+def record(trained: RunDirectory, sweep: str, planned: Sequence[Row]) -> None:
+    """Keep the config and the rows of all runs that are done; where none is, the record of before.
+
+    Args:
+        trained: where they were trained.
+        sweep: the name of the record.
+        planned: settings of the runs that it is to hold; see `settings_of`.
+
+    Raises:
+        ValueError: other runs were trained than are planned, or one is not done that is on record;
+            nothing is written then.
+    """
     config = trained.path / CONFIG
+    settings = settings_by_run(_read(config))
+    if not same_runs([values for _, values in settings], planned):
+        raise ValueError(f"{trained.path}: these are other runs than are planned for {sweep}")
+    rows = trained.metrics() if (trained.path / METRICS).is_file() else []
     done = {
         name
-        for name, settings in settings_by_run(_read(config))
-        if is_done([row for row in rows if row["run"] == name], settings)
+        for name, values in settings
+        if is_done([row for row in rows if row["run"] == name], values)
     }
     kept = [row for row in rows if row["run"] in done]
     if kept:
+        finished = _in_order([values for name, values in settings if name in done])
+        recorded = {run.name: _in_order([run.settings])[0] for run in recorded_runs(sweep)}
+        if lost := [name for name, values in recorded.items() if values not in finished]:
+            raise ValueError(
+                f"{trained.path}: {lost[0]} is on record and not done here; nothing was recorded"
+            )
         columns = [name for name in COLUMNS if any(name in row for row in kept)]
         folder = SWEEPS / sweep
         folder.mkdir(parents=True, exist_ok=True)
@@ -144,10 +165,17 @@ def recorded_settings(sweep: str) -> list[tuple[str, Row]]:
 def settings_by_run(config: Mapping[str, Any]) -> list[tuple[str, Row]]:
     """Name and settings of every run of a config; see `settings_from`."""
     return [
-        (run["name"], settings_from({key: value for key, value in run.items() if key != "name"}))
+        (run["name"], settings_from(_of_record(run)))
         for group in config["groups"]
         for run in group["runs"]
     ]
+
+
+def _of_record(run: Mapping[str, Any]) -> Row:
+    """A run's settings; "auto", as plans once named the engine, was `native` wherever they ran."""
+    values = {"engine": "auto", **run}
+    del values["name"]
+    return {**values, "engine": "native"} if values["engine"] == "auto" else values
 
 
 def settings_from(values: Mapping[str, Any]) -> Row:
@@ -172,13 +200,19 @@ def same_runs(one: Sequence[Row], other: Sequence[Row]) -> bool:
     return _in_order(one) == _in_order(other)
 
 
-def _in_order(settings: Sequence[Row]) -> list[str]:
+def _in_order(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return sorted(json.dumps(values, sort_keys=True) for values in settings)
 
 
 def together(group: dict[str, Any]) -> int:
     """How many runs trained side by side with those of a group, themselves included."""
     return group.get("together", len(group["runs"]))
+
+
+def is_whole(sweep: str) -> bool:
+    """Whether all runs of a sweep are on record."""
+    settings = recorded_settings(sweep)
+    return bool(settings) and len(recorded_runs(sweep)) == len(settings)
 
 
 def recorded_runs(sweep: str) -> list[RecordedRun]:
@@ -194,7 +228,7 @@ def recorded_runs(sweep: str) -> list[RecordedRun]:
     config = recorded_config(sweep) or {}
     alone = {run["name"] for g in config["groups"] if together(g) == 1 for run in g["runs"]}
     return [
-        RecordedRun(sweep, values, rows[name], name in alone)
+        RecordedRun(sweep, name, values, rows[name], name in alone)
         for name, values in settings
         if rows[name]
     ]

@@ -13,6 +13,7 @@ from experiments.learning.plans import read_plans, runs_of
 from experiments.learning.records import (
     SWEEPS,
     RecordedRun,
+    is_whole,
     recorded_config,
     recorded_runs,
     recorded_settings,
@@ -25,9 +26,9 @@ from experiments.learning.tables import (
     Runs,
     env_steps_to_hold,
     final_success,
+    in_order_of_seeds,
     is_settled,
     left_early,
-    only_setting,
     runs_by_setting,
     window_means,
 )
@@ -66,7 +67,7 @@ def planned() -> Table:
     plans = read_plans()
     rows = []
     for name, question in plans.questions.items():
-        missing = [sweep for sweep in question.sweeps if not recorded_runs(sweep)]
+        missing = [sweep for sweep in question.sweeps if not is_whole(sweep)]
         if missing:
             trained = len(question.sweeps) - len(missing)
             of = f"{len(missing)} of {len(question.sweeps)}" if trained else "all"
@@ -278,7 +279,7 @@ def evaluations(sweep: str) -> Table:
     """Every evaluation of a short sweep."""
     rows = [
         [f"{row['env_steps']:,}", f"{row['wall_s']:.0f}", _share(row["success_rate"])]
-        for run in only_setting(sweep)
+        for run in in_order_of_seeds(recorded_runs(sweep))
         for row in run.rows
     ]
     header = ["environment steps", "seconds after training began", "success"]

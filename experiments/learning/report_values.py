@@ -6,18 +6,22 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 from cgm_jax.results.statistics import first_to_hold
 from experiments.learning.plans import read_plans, runs_of
-from experiments.learning.records import SWEEPS, RecordedRun, recorded_runs
+from experiments.learning.records import (
+    SWEEPS,
+    RecordedRun,
+    is_whole,
+    recorded_runs,
+    recorded_settings,
+)
 from experiments.learning.report_tables import FULL_GOAL
 from experiments.learning.setting import NO_MASKS
 from experiments.learning.tables import (
     env_steps_to_hold,
-    only_setting,
+    in_order_of_seeds,
     runs_by_setting,
 )
-from experiments.markdown import counted, in_words, percent
+from experiments.markdown import NOT_YET, counted, in_words, percent
 from experiments.table import read_table
-
-NOT_YET = "(not on record yet)"
 
 
 def number_of_trials() -> str:
@@ -62,50 +66,87 @@ def records_of(question: str) -> str:
 
 
 def not_trained(question: str) -> str:
-    """The sweeps of a question that are not on record."""
+    """The sweeps of a question that are not on record, or not with all of their runs."""
     sweeps = read_plans().questions[question].sweeps
-    return ", ".join(f"`{sweep}`" for sweep in sweeps if not recorded_runs(sweep)) or "nothing"
+    missing = (
+        f"`{sweep}`" + (f" ({len(runs)} of {len(recorded_settings(sweep))} runs are)" * bool(runs))
+        for sweep in sweeps
+        if not is_whole(sweep)
+        for runs in [recorded_runs(sweep)]
+    )
+    return ", ".join(missing) or "nothing"
 
 
 def held_by(sweeps: str, level: str) -> str:
     """How many seeds hold a success, such as "five of five seeds", of each sweep.
 
     Args:
-        sweeps: one, or several with commas between them, of which the same is so.
+        sweeps: one, or several with commas between them, of which the same is so; "a+b" are two
+            sweeps of one setting taken together, as tables do.
         level: in percent.
     """
-    names = sweeps.split(",")
-    if not _on_record(names):
+    arms = _arms(sweeps)
+    if not all(arms):
         return NOT_YET
-    return _of_each(_held(only_setting(sweep), int(level) / 100) for sweep in names)
+    return _of_each(_held(runs, int(level) / 100) for runs in arms)
 
 
 def sooner(ones: str, others: str, level: str) -> str:
     """In how many seeds one sweep holds a success before another, "five of five seeds".
 
     Args:
-        ones: the sweep, or several with commas between them, of which the same is so.
+        ones: the sweep, or several; see `held_by`.
         others: the other, or others alike.
         level: in percent.
+
+    Raises:
+        ValueError: it is not known of a seed, since training of the other run ended before.
     """
-    first, second = ones.split(","), others.split(",")
-    if not _on_record([*first, *second]):
+    first, second = _arms(ones), _arms(others)
+    if not all([*first, *second]):
         return NOT_YET
     pairs = itertools.product(first, second)
     return _of_each(_sooner(*pair, int(level) / 100) for pair in pairs)
 
 
-def _on_record(sweeps: Iterable[str]) -> bool:
-    return all(map(recorded_runs, sweeps))
+def _arms(sweeps: str) -> list[list[RecordedRun]]:
+    """Runs of sweeps with commas between them; none of one that is planned and not on record."""
+    return [_runs(names) for names in sweeps.split(",")]
 
 
-def _sooner(one: str, other: str, level: float) -> str:
-    steps = [
-        {run.seed: env_steps_to_hold(run, level) for run in only_setting(sweep)}
-        for sweep in (one, other)
-    ]
-    seeds = steps[0].keys() & steps[1].keys()
-    return _of_seeds(sum(steps[0][seed] < steps[1][seed] for seed in seeds), seeds)
+def _runs(sweeps: str) -> list[RecordedRun]:
+    """Runs on record of one setting, which one sweep holds or, such as "a+b", several.
+
+    Raises:
+        ValueError: no such sweep is planned, or they hold several settings.
+    """
+    runs = [run for name in sweeps.split("+") for run in _recorded(name)]
+    return in_order_of_seeds(runs) if runs else []
+
+
+def _recorded(sweep: str) -> list[RecordedRun]:
+    """Runs on record of a sweep.
+
+    Raises:
+        ValueError: none of that name is planned.
+    """
+    if sweep not in read_plans().sweeps:
+        raise ValueError(f"README.md: no sweep {sweep!r} is planned")
+    return recorded_runs(sweep)
+
+
+def _sooner(one: Sequence[RecordedRun], other: Sequence[RecordedRun], level: float) -> str:
+    others = {run.seed: run for run in other}
+    pairs = [(run, others[run.seed]) for run in one if run.seed in others]
+    return _of_seeds(sum(_is_sooner(*pair, level) for pair in pairs), pairs)
+
+
+def _is_sooner(one: RecordedRun, other: RecordedRun, level: float) -> bool:
+    steps = [env_steps_to_hold(run, level) for run in (one, other)]
+    if min(one.budget, other.budget) < min(steps) < math.inf:
+        names = f"{one.sweep} and {other.sweep}, seed {one.seed}"
+        raise ValueError(f"{names}: which is sooner is not known, as one was not trained so far")
+    return steps[0] < steps[1]
 
 
 def _held(runs: Sequence[RecordedRun], level: float) -> str:
@@ -152,33 +193,38 @@ def points_sooner(question: str, env: str) -> str:
 
 def budget(sweep: str) -> str:
     """Environment steps that runs of a sweep were to train for."""
-    return f"{max(run.budget for run in recorded_runs(sweep)):,}"
+    runs = _recorded(sweep)
+    return f"{max(run.budget for run in runs):,}" if runs else NOT_YET
 
 
 def latest(sweep: str, level: str) -> str:
     """Environment steps until the last seed holds a success."""
-    return f"{max(_finite_steps(sweep, level)):,.0f}"
+    runs = _runs(sweep)
+    return f"{max(_finite_steps(runs, level)):,.0f}" if runs else NOT_YET
 
 
 def held_in(sweep: str, level: str, seed: str) -> str:
     """Environment steps until a seed holds a success."""
-    if not _on_record([sweep]):
+    runs = _runs(sweep)
+    if not runs:
         return NOT_YET
-    (run,) = (run for run in only_setting(sweep) if run.seed == int(seed))
-    return f"{env_steps_to_hold(run, int(level) / 100):,.0f}"
+    (run,) = (run for run in runs if run.seed == int(seed))
+    return f"{_finite_steps([run], level)[0]:,.0f}"
 
 
-def _finite_steps(sweep: str, level: str) -> list[float]:
-    steps = [env_steps_to_hold(run, int(level) / 100) for run in only_setting(sweep)]
+def _finite_steps(runs: Sequence[RecordedRun], level: str) -> list[float]:
+    steps = [env_steps_to_hold(run, int(level) / 100) for run in runs]
     if not all(map(math.isfinite, steps)):
-        raise ValueError(f"{sweep}: not all seeds hold {level} %")
+        raise ValueError(f"{runs[0].sweep}: not all seeds hold {level} %")
     return steps
 
 
 def seconds(sweep: str, level: str) -> str:
     """From when to when seeds hold a success, in seconds since training began."""
-    runs = only_setting(sweep)
-    _finite_steps(sweep, level)
+    runs = _runs(sweep)
+    if not runs:
+        return NOT_YET
+    _finite_steps(runs, level)
     if not all(run.alone for run in runs):
         raise ValueError(f"{sweep}: runs trained side by side have no seconds of their own")
     rows = [first_to_hold(run.rows, int(level) / 100) for run in runs]
@@ -190,10 +236,12 @@ def probability_of_full_goal(sweep: str) -> str:
     """How often the full goal is drawn when all estimates are 100 %."""
     drawn = {
         row["mask_probability"][FULL_GOAL]
-        for run in recorded_runs(sweep)
+        for run in _recorded(sweep)
         for row in run.rows
         if row["mask_rate_estimated"] and set(row["mask_rate_estimated"]) == {1.0}
     }
+    if not drawn:
+        return NOT_YET
     low, high = percent(min(drawn), 1), percent(max(drawn), 1)
     return high if low == high else f"{low} to {high}"
 

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,9 +25,12 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.results.statistics import first_to_hold
 from cgm_jax.storage.layout import METRICS
+from cgm_jax.storage.provenance import provenance
 from cgm_jax.storage.run_directory import RunDirectory
 from experiments.pretrained import MEASURING, success
 from experiments.table import read_table, write_table
+
+Row = Mapping[str, Any]
 
 TASKS = ("push", "pick_and_place")
 OUT = Path(__file__).resolve().parents[1] / "results" / "seconds"
@@ -38,13 +41,13 @@ class SecondsOptions:
     """Time the preset `cpu` until it holds 90 %."""
 
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = TASKS
-    """Of which tasks; the others keep their rows."""
+    """Of which tasks."""
 
     seeds: int = 5
     """Runs per task."""
 
     out: Path = OUT
-    """Directory for the table."""
+    """Directory for the table, in which other tasks and seeds keep their rows."""
 
     def check(self) -> None:
         """Check names and numbers.
@@ -64,17 +67,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(SecondsOptions, arguments, "python -m experiments.learning.seconds")
     options.check()
     path = options.out / "seconds.csv"
-    kept = read_table(path) if path.exists() else []
-    rows: list[Any] = [row for row in kept if row["task"] not in options.tasks]
+    rows: list[Row] = list(read_table(path)) if path.exists() else []
+    # Asked for once, before the table is another than the commit's.
+    here = provenance("cpu", ())
+    made = {key: here[key] for key in ("commit", "machine")}
     options.out.mkdir(parents=True, exist_ok=True)
     for task in options.tasks:
         rates = raw_rates(task)
         for seed in range(options.seeds):
             words = ["--preset", "cpu", "--env", task, "--seed", str(seed)]
-            rows.append({"task": task, "seed": seed, **timed(task, words, 0.9, *rates)})
-            print(rows[-1], flush=True)
+            row = {"task": task, "seed": seed, **timed(task, words, 0.9, *rates), **made}
+            print(row, flush=True)
+            rows = replaced(rows, row)
             write_table(path, rows)
     return 0
+
+
+def replaced(rows: Sequence[Row], row: Row) -> list[Row]:
+    """Rows with one more, in place of that of the same run, in order of tasks and seeds."""
+
+    def order(row: Row) -> tuple[int, int]:
+        return TASKS.index(row["task"]), int(row["seed"])
+
+    return sorted([row, *(other for other in rows if order(other) != order(row))], key=order)
 
 
 def raw_rates(task: str) -> tuple[float, float]:
@@ -121,7 +136,7 @@ def timed(
             raise RuntimeError(f"train {' '.join(words)} has failed: {result.stderr.decode()}")
         used = cpu_of_children() - used
         written = RunDirectory(directory)
-        rows, config = written.metrics(), written.config.read()
+        rows = written.metrics()
         (run,) = (run for group in written.config.groups() for run in group.runs)
         raw = rows[-1]["env_steps"] / steps_rate + rows[-1]["updates"] / update_rate
         held = first_to_hold(rows, level) is not None
@@ -135,8 +150,6 @@ def timed(
             "ratio": round(held_s / raw, 2),
             "success_rate": success(task, {"": written.policy_path(run)}, MEASURING)[""],
             "episodes": MEASURING.episodes,
-            "commit": config["commit"],
-            "machine": config["machine"],
         }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, first_to_hold, quartiles
-from experiments.learning.records import RecordedRun, Row, recorded_runs
+from experiments.learning.records import RecordedRun, Row
 from experiments.learning.setting import Setting
 
 LEVELS = (0.5, 0.9)
@@ -19,26 +19,41 @@ def runs_by_setting(runs: Runs) -> dict[Setting, dict[int, RecordedRun]]:
     """Runs by setting and seed, in order of seeds.
 
     Raises:
-        ValueError: two runs share a setting and a seed.
+        ValueError: two runs share a setting and a seed, or one setting and differ in what it does
+            not tell.
     """
     settings: dict[Setting, dict[int, RecordedRun]] = defaultdict(dict)
     for run in sorted(runs, key=lambda run: run.seed):
-        if other := settings[run.setting].get(run.seed):
-            raise ValueError(f"{run.sweep} and {other.sweep} hold the same run, seed {run.seed}")
-        settings[run.setting][run.seed] = run
+        same = settings[run.setting]
+        for other in list(same.values())[:1]:
+            if differing := _apart(run, other):
+                names = f"{run.sweep} and {other.sweep}"
+                raise ValueError(f"{names} differ in {differing[0]}, which no table would say")
+        if run.seed in same:
+            names = f"{run.sweep} and {same[run.seed].sweep}"
+            raise ValueError(f"{names} hold the same run, seed {run.seed}")
+        same[run.seed] = run
     in_order = dict.fromkeys(run.setting for run in runs)
     return {setting: settings[setting] for setting in in_order}
 
 
-def only_setting(sweep: str) -> list[RecordedRun]:
-    """The runs of a sweep that has one setting.
+def _apart(one: RecordedRun, other: RecordedRun) -> list[str]:
+    """Settings that may not differ between runs of which tables say that they had the same."""
+    free = {"seed", "epochs", "leave_at"}
+    names = sorted({*one.settings, *other.settings} - free)
+    return [name for name in names if one.settings.get(name) != other.settings.get(name)]
+
+
+def in_order_of_seeds(runs: Runs) -> list[RecordedRun]:
+    """Runs of one setting, in order of seeds.
 
     Raises:
-        ValueError: it has several, or no record.
+        ValueError: they have several settings.
     """
-    settings = runs_by_setting(recorded_runs(sweep))
+    settings = runs_by_setting(runs)
     if len(settings) != 1:
-        raise ValueError(f"{sweep}: holds {len(settings)} settings, not one")
+        names = ", ".join(dict.fromkeys(run.sweep for run in runs))
+        raise ValueError(f"{names}: {len(settings)} settings, not one")
     (seeds,) = settings.values()
     return list(seeds.values())
 

@@ -3,9 +3,9 @@
 Trains every arm on every task, each run on one core (where the system has `taskset`), until it has
 used its CPU seconds, from the start of its process with an empty compilation cache; a run of this
 program ends with the preset, if that is sooner. Writes the curve of each into OUT/curves, which run
-was made where into OUT/runs.csv, and the figure. Runs that are there with as many CPU seconds are
-not trained again. Other work on the machine makes CPU seconds do less; and each run imports the
-checkout as it then is, which is to stay as it was.
+was made where into OUT/runs.csv, and the figure. Runs that are there are not trained again; other
+CPU seconds are for another OUT. Other work on the machine makes CPU seconds do less; and each run
+imports the checkout as it then is, which is to stay as it was.
 """
 
 import os
@@ -59,7 +59,8 @@ class CompareOptions:
         """Check names and numbers.
 
         Raises:
-            SettingError: one of them is not known, or out of its range.
+            SettingError: one of them is not known, or out of its range; or the directory holds runs
+                of other CPU seconds.
         """
         for name, known in (("arms", NAMES), ("tasks", tuple(TASKS))):
             for value in getattr(self, name):
@@ -71,6 +72,11 @@ class CompareOptions:
             raise SettingError(f"seeds: {min(self.seeds)} is below 0")
         if {*self.arms} & ARMS.keys() and not self.python.is_file():
             raise SettingError(f"python: there is no {self.python}; make compare-sb3 builds it")
+        made = read_table(self.out / RUNS) if (self.out / RUNS).exists() else []
+        if others := {float(row["cpu_seconds"]) for row in made} - {self.cpu_seconds}:
+            raise SettingError(
+                f"cpu_seconds: {self.out} holds runs of {others.pop():g}; name another directory"
+            )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -167,9 +173,7 @@ def note(run: Run, options: CompareOptions, made: Mapping[str, str]) -> None:
     others = read_table(path) if path.exists() else []
     named = {name: str(value) for name, value in run._asdict().items()}
     kept = [other for other in others if {name: other[name] for name in named} != named]
-    partial = path.with_suffix(".partial")
-    write_table(partial, [*kept, row])
-    partial.replace(path)
+    write_table(path, [*kept, row])
 
 
 if __name__ == "__main__":

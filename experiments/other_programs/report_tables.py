@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cgm_jax.results.statistics import HOLDING_EVALUATIONS, first_to_hold
-from experiments.markdown import Table, counted, in_words
+from experiments.markdown import NOT_YET, Table, counted, in_words
 from experiments.other_programs.arms import NAMES, TASKS, label
 from experiments.other_programs.compare import CompareOptions
 from experiments.other_programs.runs import Run, runs_made
@@ -27,6 +27,8 @@ def other_programs(out: Path = CompareOptions.out) -> Table:
 def held_by_program(arm: str, task: str, out: Path = CompareOptions.out) -> str:
     """How many runs of an arm hold 90 % on a task, such as "three of three seeds"."""
     runs = [r for r in runs_made(out, CompareOptions.cpu_seconds) if (r.arm, r.task) == (arm, task)]
+    if not runs:
+        return NOT_YET
     held = sum(first_to_hold(_curve(run, out), LEVEL) is not None for run in runs)
     return f"{in_words(held)} of {counted(len(runs), 'seed')}"
 

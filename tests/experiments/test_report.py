@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cgm_jax.storage.layout import CONFIG
+from cgm_jax.storage.layout import CONFIG, METRICS
 from experiments import run
 from experiments.learning import records
 from experiments.learning.plans import read_plans, runs_of
@@ -188,16 +188,39 @@ def test_a_question_is_drawn_from_its_record(
 
 
 def test_some_sweeps_of_a_question_are_trained_and_nothing_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked_for = {}
+    asked_for: dict[str, list[str]] = {}
     monkeypatch.setattr(run, "train", lambda sweeps, *_: asked_for.update(sweeps))
     monkeypatch.setattr(run, "README", tmp_path / "README.md")
+    monkeypatch.setattr(run, "is_whole", lambda sweep: sweep == "push_by_full")
     options = ["curricula", "--train", "--only", "push_by_vds", "push_by_full"]
     monkeypatch.setattr(sys, "argv", ["run", *options])
     run.main()
-    assert list(asked_for) == ["push_by_vds", "push_by_full"]
+    assert list(asked_for) == ["push_by_vds"]  # the other is on record
     assert "--curriculum vds" in " ".join(asked_for["push_by_vds"])
+    assert capsys.readouterr().out == "push_by_full: on record; --again trains it again\n"
+    monkeypatch.setattr(sys, "argv", ["run", *options, "--again"])
+    run.main()
+    assert list(asked_for) == ["push_by_vds", "push_by_full"]
+    assert not (tmp_path / "README.md").exists()
+
+
+def test_a_directory_that_would_cost_a_record_stops_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(records, "SWEEPS", Path(shutil.copytree(SWEEPS, tmp_path / "sweeps")))
+    monkeypatch.setattr(run, "README", tmp_path / "README.md")
+    runs = tmp_path / "runs"
+    records.restore("push_her", runs / "push_her")
+    metrics = runs / "push_her" / METRICS
+    metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-1]))
+    before = (tmp_path / "sweeps" / "push_her" / records.LEARNING).read_text()
+    monkeypatch.setattr(sys, "argv", ["run", "push", "--draw", "--runs", str(runs)])
+    with pytest.raises(SystemExit, match="seed4 is on record and not done here") as end:
+        run.main()
+    assert str(end.value).startswith("error: ")
+    assert (tmp_path / "sweeps" / "push_her" / records.LEARNING).read_text() == before
     assert not (tmp_path / "README.md").exists()
 
 

@@ -14,7 +14,7 @@ def run(
     rates: Sequence[float | None], seed: int = 0, sweep: str = "one", **settings: Any
 ) -> RecordedRun:
     """A run on push with HER that was evaluated every 1,000 environment steps and 2 seconds."""
-    usual = {"env": "push", "her_filter": True, "hidden_layers": USUAL_LAYERS}
+    usual = {"env": "push", "her_filter": True, "hidden_layers": USUAL_LAYERS, "engine": "native"}
     shared = {**usual, "epochs": len(rates)}
     values = settings_from({**shared, **settings, "seed": seed})
     rows = [
@@ -27,4 +27,4 @@ def run(
         }
         for epoch, rate in enumerate(rates, start=1)
     ]
-    return RecordedRun(sweep, values, rows, alone=True)
+    return RecordedRun(sweep, f"{sweep}_seed{seed}", values, rows, alone=True)

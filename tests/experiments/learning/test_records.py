@@ -36,6 +36,13 @@ def trained(
     (path / METRICS).write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
+def record(path: Path, name: str) -> None:
+    """Record a directory, as one that was planned."""
+    config = json.loads((path / CONFIG).read_text())
+    planned = [settings for _, settings in records.settings_by_run(config)]
+    records.record(RunDirectory(path), name, planned)
+
+
 @pytest.fixture(autouse=True)
 def _apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(records, "SWEEPS", tmp_path / "sweeps")
@@ -43,7 +50,7 @@ def _apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_rows_of_runs_that_are_done_come_back_as_they_were(tmp_path: Path) -> None:
     trained(tmp_path / "run", {}, [[0.0, 0.25, None, 0.5, 1.0], [0.0, 0.1]])
-    records.record(RunDirectory(tmp_path / "run"), "mine")
+    record(tmp_path / "run", "mine")
     (run,) = records.recorded_runs("mine")  # seed 1 is not done
     assert (run.sweep, run.seed, run.alone, run.budget) == ("mine", 0, True, 500)
     assert [row["success_rate"] for row in run.rows] == [0.0, 0.25, None, 0.5, 1.0]
@@ -59,7 +66,7 @@ def test_rows_of_runs_that_are_done_come_back_as_they_were(tmp_path: Path) -> No
 
 def test_a_run_that_left_early_is_done(tmp_path: Path) -> None:
     trained(tmp_path / "run", {"leave_at": [0.5]}, [[0.0, 0.4, 0.6, 0.5], [0.0, 0.4, 0.6, 0.4]])
-    records.record(RunDirectory(tmp_path / "run"), "mine")
+    record(tmp_path / "run", "mine")
     (run,) = records.recorded_runs("mine")
     assert (run.seed, len(run.rows), run.settings["leave_at"], run.budget) == (0, 4, 0.5, 500)
 
@@ -68,16 +75,16 @@ def test_a_column_that_a_version_wrote_is_kept_and_one_that_it_did_not_is_absent
     tmp_path: Path,
 ) -> None:
     trained(tmp_path / "run", {}, [[1.0] * 5] * 2, moved_share=0.4375)
-    records.record(RunDirectory(tmp_path / "run"), "new")
+    record(tmp_path / "run", "new")
     trained(tmp_path / "older", {}, [[1.0] * 5] * 2)
-    records.record(RunDirectory(tmp_path / "older"), "old")
+    record(tmp_path / "older", "old")
     assert [row["moved_share"] for row in records.recorded_runs("new")[1].rows] == [0.4375] * 5
     assert "moved_share" not in records.recorded_runs("old")[0].rows[0]
 
 
 def test_settings_that_an_older_version_had_not_are_at_their_defaults(tmp_path: Path) -> None:
     trained(tmp_path / "run", {"leave_at": [0.5]}, [[1.0] * 5] * 2)
-    records.record(RunDirectory(tmp_path / "run"), "mine")
+    record(tmp_path / "run", "mine")
     path = tmp_path / "sweeps" / "mine" / CONFIG
     config = json.loads(path.read_text())
     before = [settings for _, settings in records.recorded_settings("mine")]
@@ -134,7 +141,7 @@ def test_an_environment_of_these_experiments_is_the_same_in_every_checkout(tmp_p
     checkout = str(Path(records.__file__).parents[2])
     trained(tmp_path / "run", {"env": [f"{checkout}/{name}"]}, [[1.0] * 5] * 2)
     assert checkout in (tmp_path / "run" / CONFIG).read_text()
-    records.record(RunDirectory(tmp_path / "run"), "mine")
+    record(tmp_path / "run", "mine")
     assert checkout not in (tmp_path / "sweeps" / "mine" / CONFIG).read_text()
     assert {settings["env"] for _, settings in records.recorded_settings("mine")} == {name}
     here = records.settings_from({"env": f"/else/where/{name}"})
@@ -150,15 +157,56 @@ def test_nothing_done_leaves_the_record_of_before(tmp_path: Path) -> None:
     trained(tmp_path / "first", {}, [[1.0] * 5] * 2)
     trained(tmp_path / "second", {}, [[1.0], []])
     for name in ("first", "second"):
-        records.record(RunDirectory(tmp_path / name), "mine")
+        record(tmp_path / name, "mine")
     assert [len(run.rows) for run in records.recorded_runs("mine")] == [5, 5]
     assert records.recorded_runs("another") == []
     assert (tmp_path / "sweeps" / "mine" / CONFIG).is_file()
 
 
+def test_a_run_that_is_on_record_is_not_lost_to_a_directory_without_it(tmp_path: Path) -> None:
+    trained(tmp_path / "whole", {}, [[0.5] * 5] * 2)
+    trained(tmp_path / "part", {}, [[1.0] * 5, [1.0] * 4])
+    trained(tmp_path / "more", {}, [[1.0] * 5] * 2)
+    record(tmp_path / "whole", "mine")
+    assert records.is_whole("mine")
+    with pytest.raises(ValueError, match="seed1 is on record and not done here"):
+        record(tmp_path / "part", "mine")
+    assert [run.rows[-1]["success_rate"] for run in records.recorded_runs("mine")] == [0.5, 0.5]
+    record(tmp_path / "part", "new")
+    assert not records.is_whole("new")
+    assert not records.is_whole("none")
+    for name in ("mine", "new"):  # trained again, and further
+        record(tmp_path / "more", name)
+        assert [run.rows[-1]["success_rate"] for run in records.recorded_runs(name)] == [1.0, 1.0]
+
+
+def test_other_runs_than_are_planned_are_not_recorded(tmp_path: Path) -> None:
+    trained(tmp_path / "run", {}, [[1.0] * 5] * 2)
+    planned = [records.settings_from({"env": "reach", "seed": 0})]
+    with pytest.raises(ValueError, match="other runs than are planned for mine"):
+        records.record(RunDirectory(tmp_path / "run"), "mine", planned)
+    assert records.recorded_runs("mine") == []
+
+
+def test_a_sweep_that_was_stopped_before_its_first_evaluation_has_nothing_done(
+    tmp_path: Path,
+) -> None:
+    trained(tmp_path / "run", {}, [[1.0] * 5] * 2)
+    (tmp_path / "run" / METRICS).unlink()
+    record(tmp_path / "run", "mine")
+    assert records.recorded_runs("mine") == []
+
+
+def test_an_engine_that_was_chosen_by_itself_was_the_one_for_the_cpu(tmp_path: Path) -> None:
+    for engine, recorded in (("auto", "native"), ("mjx", "mjx")):
+        trained(tmp_path / engine, {"engine": [engine]}, [[1.0] * 5] * 2)
+        record(tmp_path / engine, engine)
+        assert {s["engine"] for _, s in records.recorded_settings(engine)} == {recorded}
+
+
 def test_a_record_becomes_a_run_directory_again(tmp_path: Path) -> None:
     trained(tmp_path / "run", {}, [[0.0, 0.2, None, 0.6, 0.8], [0.0, 0.0, 0.4, 0.5, 1.0]])
-    records.record(RunDirectory(tmp_path / "run"), "kept")
+    record(tmp_path / "run", "kept")
     records.restore("kept", tmp_path / "again")
     before, again = read_sweep(tmp_path / "run"), read_sweep(tmp_path / "again")
     assert again.finished

@@ -111,15 +111,21 @@ def test_what_is_not_trained_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
         "how": Question("How?", ["b", "c"], []),
         "who": Question("Who?", ["b"], []),
     }
+    planned = {"a": 3, "b": 3, "c": 3}
+    recorded = {"a": 0, "b": 3, "c": 1}
     for module in (report_tables, report_values):
         monkeypatch.setattr(module, "read_plans", lambda: Plans({}, questions))
-        monkeypatch.setattr(module, "recorded_runs", lambda sweep: ["a run"] * (sweep == "b"))
+    monkeypatch.setattr(report_values, "recorded_settings", lambda sweep: [sweep] * planned[sweep])
+    monkeypatch.setattr(report_values, "recorded_runs", lambda sweep: [sweep] * recorded[sweep])
+    for module in (report_tables, report_values):
+        monkeypatch.setattr(module, "is_whole", lambda sweep: planned[sweep] == recorded[sweep])
     rows = report_tables.planned().rows
     assert [list(row) for row in rows] == [
         ["Why?", "`why`", "1 of 2"],
         ["How?", "`how`", "1 of 2"],
     ]
     assert report_values.not_trained("why") == "`a`"
+    assert report_values.not_trained("how") == "`c` (1 of 3 runs are)"
     assert report_values.not_trained("who") == "nothing"
 
 

@@ -1,10 +1,12 @@
 import math
+from pathlib import Path
 
 import pytest
 
 from cgm_jax.config.fields import SettingError
 from experiments.learning import seconds
 from experiments.learning.seconds import timed
+from experiments.table import read_table
 
 SMOKE = ["--preset", "smoke", "--env", "reach"]
 
@@ -18,13 +20,32 @@ def test_a_run_is_timed_beside_what_raw_rates_would_need() -> None:
     assert row["cpu_s"] > 1
     assert row["ratio"] == pytest.approx(row["held_s"] / 18, abs=0.01)
     assert row["success_rate"] in [k / 1000 for k in range(1001)]
-    assert row["commit"]
 
 
 @pytest.mark.slow
 def test_a_run_that_never_holds_the_success_has_no_time() -> None:
     row = timed("reach", SMOKE, 1.0, 100.0, 4.0)
     assert (row["env_steps"], row["held_s"], row["ratio"]) == (800, math.inf, math.inf)
+
+
+def test_runs_that_are_timed_again_replace_their_rows_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timings = iter((30.0, 40.0, 50.0, 60.0))
+    monkeypatch.setattr(seconds, "raw_rates", lambda _: (1.0, 1.0))
+    monkeypatch.setattr(seconds, "timed", lambda *_: {"held_s": next(timings)})
+    commits = iter(("one", "two"))
+    monkeypatch.setattr(
+        seconds, "provenance", lambda *_: {"commit": next(commits), "machine": "here"}
+    )
+    for words in (["push", "--seeds", "2"], ["pick_and_place", "push", "--seeds", "1"]):
+        assert seconds.main([*words, "--out", str(tmp_path)]) == 0
+    rows = read_table(tmp_path / "seconds.csv")
+    assert [(row["task"], row["seed"], row["held_s"], row["commit"]) for row in rows] == [
+        ("push", "0", "60.0", "two"),
+        ("push", "1", "40.0", "one"),
+        ("pick_and_place", "0", "50.0", "two"),
+    ]
 
 
 def test_a_run_that_fails_is_named() -> None:

@@ -7,7 +7,7 @@ from experiments.learning.setting import USUAL_LAYERS, setting_of
 
 
 def setting(**settings: Any) -> Any:
-    usual = {"her_filter": True, "hidden_layers": USUAL_LAYERS}
+    usual = {"her_filter": True, "hidden_layers": USUAL_LAYERS, "engine": "native"}
     return setting_of(settings_from({**usual, **settings}))
 
 

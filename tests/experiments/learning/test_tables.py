@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import pytest
@@ -31,7 +32,7 @@ def test_learning_speed_shows_every_seed_and_interpolated_quartiles() -> None:
 
 def test_seconds_of_runs_side_by_side_and_levels_beyond_the_end_are_left_out() -> None:
     left = run([0.6, 0.6, 0.6], leave_at=0.5, epochs=9)
-    together = type(left)(left.sweep, left.settings, left.rows, alone=False)
+    together = dataclasses.replace(left, alone=False)
     (entry,) = learning_speed([together])
     assert (entry["env_steps_to_50"], entry["wall_s_to_50"]) == ("3000", "")
     assert (entry["env_steps_to_90"], entry["final_success"]) == ("", "left")
@@ -41,6 +42,13 @@ def test_seconds_of_runs_side_by_side_and_levels_beyond_the_end_are_left_out() -
 def test_runs_that_share_setting_and_seed_are_not_taken_for_one() -> None:
     with pytest.raises(ValueError, match="the same run"):
         learning_speed([run([0.5]), run([0.5], sweep="other")])
+
+
+def test_runs_of_a_setting_that_differ_in_what_no_table_says_are_not_pooled() -> None:
+    pooled = [run([0.5]), run([0.5], 1, "more", epochs=9, leave_at=0.5)]
+    assert [entry["seeds"] for entry in learning_speed(pooled)] == ["0 1"]
+    with pytest.raises(ValueError, match="more and one differ in batch_size"):
+        learning_speed([run([0.5]), run([0.5], 1, "more", batch_size=64)])
 
 
 def test_settings_keep_their_order_and_their_seeds() -> None:

@@ -10,6 +10,7 @@ from matplotlib import pyplot as plt
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.lock import InUseError, locked
+from experiments.markdown import NOT_YET
 from experiments.other_programs import compare, figure, our_run, report_tables
 from experiments.other_programs.arms import ARMS, NAMES, OURS
 from experiments.table import read_table, write_table
@@ -96,11 +97,15 @@ else:
     assert result.stdout.split() == ["True", "False"]
 
 
-def test_other_cpu_seconds_are_trained_anew(tmp_path: Path, commands: list[Sequence[str]]) -> None:
+def test_a_short_trial_does_not_replace_a_long_one(
+    tmp_path: Path, commands: list[Sequence[str]]
+) -> None:
     words = ["--arms", "cgm_jax", "--tasks", "push", "--out", str(tmp_path)]
-    for limit, trained in (("60", 1), ("60", 1), ("7200", 2), ("7200", 2)):
-        assert compare.main([*words, "--cpu-seconds", limit]) == 0
-        assert len(commands) == trained
+    for _ in range(2):
+        assert compare.main([*words, "--cpu-seconds", "7200"]) == 0
+    with pytest.raises(SettingError, match=r"cpu_seconds: .* holds runs of 7200; name another"):
+        compare.main([*words, "--cpu-seconds", "60"])
+    assert len(commands) == 1
     (row,) = read_table(tmp_path / "runs.csv")
     assert row["cpu_seconds"] == "7200.0"
 
@@ -204,6 +209,7 @@ def test_the_table_says_when_90_percent_was_held(tmp_path: Path) -> None:
     write_table(tmp_path / "runs.csv", noted)
     held = [report_tables.held_by_program(arm, "push", tmp_path) for arm in ("cgm_jax", "sb3_sac")]
     assert held == ["one of one seed", "none of one seed"]
+    assert report_tables.held_by_program("sb3_ddpg", "push", tmp_path) == NOT_YET
     ours, theirs = report_tables.other_programs(tmp_path).rows
     assert list(ours[2:]) == ["0", "42", "80", "90.7", "80", "42"]  # (0.86 + 0.9 + 0.96) / 3
     assert list(theirs[1:]) == [
