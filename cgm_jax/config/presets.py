@@ -25,7 +25,7 @@ _CPU: Grid = {
     "replay_transitions": [600_000],
 }
 
-# Exploration pursues first the grip where it can move the block, then the block; question `guided`
+# Exploration pursues first the grip where it can move the block, then the block; question `stages`
 # of experiments/plans.toml. Whether masks help beside that, five seeds do not tell.
 _PUSH: Grid = {"relabelling": ["relay"], "relay_share": [0.15]}
 

@@ -19,6 +19,7 @@ from experiments.learning.tables import (
     env_steps_to_hold,
     in_order_of_seeds,
     runs_by_setting,
+    window_means,
 )
 from experiments.markdown import NOT_YET, counted, in_words, percent
 from experiments.table import read_table
@@ -242,8 +243,36 @@ def probability_of_full_goal(sweep: str) -> str:
     }
     if not drawn:
         return NOT_YET
-    low, high = percent(min(drawn), 1), percent(max(drawn), 1)
+    return _from_to(drawn, 1)
+
+
+def moved(sweep: str, end: str) -> str:
+    """In which share of a run's training episodes the achieved goal moved, from seed to seed.
+
+    Args:
+        sweep: of one setting.
+        end: environment steps up to which episodes are counted.
+    """
+    ends = [int(end)]
+    shares = [window_means([run], ends, "moved_share")[ends[0]] for run in _runs(sweep)]
+    return _from_to(shares) if shares else NOT_YET
+
+
+def _from_to(shares: Collection[float], decimals: int = 0) -> str:
+    low, high = percent(min(shares), decimals), percent(max(shares), decimals)
     return high if low == high else f"{low} to {high}"
+
+
+def commits_of(table: str) -> str:
+    """The commits that made the rows of a table, such as "commit `0123456`, with changes".
+
+    Args:
+        table: its path in results/.
+    """
+    rows = read_table(SWEEPS.parent / table)
+    commits = sorted({row["commit"] for row in rows})
+    named = [f"`{commit[:7]}`" + ", with changes" * commit.endswith("-dirty") for commit in commits]
+    return f"commit{'s' * (len(named) > 1)} {', '.join(named)}"
 
 
 def smallest_p(pairs: str) -> str:
@@ -268,6 +297,8 @@ VALUES: dict[str, Callable[..., str]] = {
     "held_in": held_in,
     "seconds": seconds,
     "probability_of_full_goal": probability_of_full_goal,
+    "moved": moved,
+    "commits_of": commits_of,
     "smallest_p": smallest_p,
     "standard_error": standard_error,
     "number_of_trials": number_of_trials,

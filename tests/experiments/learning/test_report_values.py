@@ -1,6 +1,7 @@
 """Numbers in sentences of the report, from runs made up."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +9,7 @@ from experiments.learning import report_values
 from experiments.learning.plans import Plans, Question
 from experiments.learning.records import RecordedRun
 from experiments.markdown import NOT_YET
+from experiments.table import write_table
 from tests.experiments.learning.recorded import run
 
 Recorded = dict[str, list[RecordedRun]]
@@ -108,6 +110,24 @@ def test_how_often_the_full_goal_is_drawn_when_all_is_learned(recorded: Recorded
     assert report_values.probability_of_full_goal("one") == "10.1 % to 10.8 %"
 
 
+def test_how_often_the_goal_moved_up_to_a_step(recorded: Recorded) -> None:
+    recorded["one"] = arm("one", [held(5), held(6)])
+    for one, shares in zip(recorded["one"], ([0.1, 0.3], [0.3, 0.5]), strict=True):
+        for row, share in zip(one.rows, [*shares, *[1.0] * 7], strict=True):
+            row["moved_share"] = share
+    assert report_values.moved("one", "2000") == "20 % to 40 %"
+
+
+def test_which_commits_made_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_values, "SWEEPS", tmp_path / "sweeps")
+    table = tmp_path / "table.csv"
+    write_table(table, [{"commit": "0123456789ab"}] * 2)
+    assert report_values.commits_of("table.csv") == "commit `0123456`"
+    write_table(table, [{"commit": "fedcba987654-dirty"}, {"commit": "0123456789ab"}])
+    expected = "commits `0123456`, `fedcba9`, with changes"
+    assert report_values.commits_of("table.csv") == expected
+
+
 ONE_SWEEP: dict[str, Callable[[str], str]] = {
     "held_by": lambda sweep: report_values.held_by(sweep, "90"),
     "sooner": lambda sweep: report_values.sooner(sweep, "one", "90"),
@@ -115,6 +135,7 @@ ONE_SWEEP: dict[str, Callable[[str], str]] = {
     "latest": lambda sweep: report_values.latest(sweep, "90"),
     "held_in": lambda sweep: report_values.held_in(sweep, "90", "0"),
     "seconds": lambda sweep: report_values.seconds(sweep, "90"),
+    "moved": lambda sweep: report_values.moved(sweep, "1000"),
     "probability_of_full_goal": report_values.probability_of_full_goal,
 }
 
