@@ -72,6 +72,11 @@ def calls_physics(env: GoalEnvironment) -> bool:
     return is_hosted(env)
 
 
+def compiler_options(env: GoalEnvironment) -> dict[str, bool]:
+    """XLA's options for programs that have an environment in them."""
+    return dict(env.physics.compiler_options) if isinstance(env, FetchEnvironment) else {}
+
+
 def is_hosted(env: GoalEnvironment) -> bool:
     """Whether an environment's episodes are simulated in another process, one simulator each."""
     return isinstance(env, HostedTask)

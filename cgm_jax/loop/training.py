@@ -28,7 +28,7 @@ from cgm_jax.loop.devices import (
     spread_shapes,
     team_of,
 )
-from cgm_jax.loop.environment import calls_physics
+from cgm_jax.loop.environment import calls_physics, compiler_options
 from cgm_jax.loop.evaluation import Metrics, changes_of_evaluation, evaluate
 from cgm_jax.loop.in_turn import in_place, in_turn
 from cgm_jax.loop.parts import init_run, parts_of_cycle, train_part
@@ -152,18 +152,23 @@ def make_programs(trainer: Trainer, devices: Sequence[Device] | None = None) -> 
         changed, metrics = _over_rows(on_cpu, one, count)(states, own)
         return states.replace(**changed), metrics
 
-    seldom = SELDOM_RUN if on_cpu else None
+    usual = compiler_options(trainer.setup.env)
+    seldom = SELDOM_RUN if on_cpu else usual
     starting = jax.jit(on_each(team, start, ON_EACH), compiler_options=seldom)
     return Programs(
         trainer=trainer,
         spread=partial(spread, team),
         shapes=lambda hyper: spread_shapes(team, jax.eval_shape(starting, hyper)),
         start=starting,
-        train=jax.jit(on_each(team, train, SPREAD, ON_EACH, ON_EACH), donate_argnums=0),
+        train=jax.jit(
+            on_each(team, train, SPREAD, ON_EACH, ON_EACH),
+            donate_argnums=0,
+            compiler_options=usual,
+        ),
         evaluate=jax.jit(
             on_each(team, evaluate, SPREAD, ON_EACH),
             donate_argnums=0,
-            compiler_options=seldom if calls_physics(trainer.setup.env) else None,
+            compiler_options=seldom if calls_physics(trainer.setup.env) else usual,
         ),
     )
 

@@ -1,5 +1,6 @@
 """How fast an engine simulates on the device at hand, through the training loop's scan."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -41,8 +42,9 @@ def engine_rate(engine: str, task: str, environments: int, repeats: int, steps: 
         state = jax.vmap(env.step)(state, action)
         return state, state.metrics["physics_warnings"].sum()
 
-    first = jax.jit(jax.vmap(env.reset))(keys)
-    rollout = jax.jit(lambda state: jax.lax.scan(step, state, actions)[1].sum())
+    jit = partial(jax.jit, compiler_options=dict(env.physics.compiler_options))
+    first = jit(jax.vmap(env.reset))(keys)
+    rollout = jit(lambda state: jax.lax.scan(step, state, actions)[1].sum())
     compiling = seconds(lambda: rollout(first).block_until_ready())
     (taken,) = medians([lambda: rollout(first).block_until_ready()], repeats)
     return EngineRate(compiling, steps * environments / taken, int(jnp.asarray(rollout(first))))

@@ -84,13 +84,14 @@ def _programs(task: str, engine: str, fields: tuple[tuple[str, float], ...]) -> 
         choose = jax.vmap(lambda chosen, x, y: jnp.where(chosen, x, y))
         return jax.tree.map(lambda x, y: choose(condition, x, y), yes, no)
 
+    jit = functools.partial(jax.jit, compiler_options=dict(env.physics.compiler_options))
     return FetchPrograms(
         arguments=(task, engine, fields),
         env=env,
-        reset=jax.jit(reset),
-        step=jax.jit(env.step),
-        reset_many=jax.jit(jax.vmap(reset)),
-        step_many=jax.jit(jax.vmap(env.step)),
+        reset=jit(reset),
+        step=jit(env.step),
+        reset_many=jit(jax.vmap(reset)),
+        step_many=jit(jax.vmap(env.step)),
         select=jax.jit(select),
     )
 

@@ -1,11 +1,25 @@
 """Engines by name, and which one "auto" means."""
 
 import importlib.util
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from cgm_jax.envs.physics.protocol import Physics
 from cgm_jax.envs.scene import Scene
 
 ENGINES = ("auto", "native", "mjx", "warp")
+
+COMPILER_OPTIONS: Mapping[str, Mapping[str, bool]] = {
+    **dict.fromkeys(ENGINES, MappingProxyType({})),
+    "mjx": {"xla_cpu_use_fusion_emitters": False},
+}
+"""XLA's options for programs that have an engine in them, by its name; see `Physics`.
+
+On a CPU XLA's fusion emitters take minutes to compile the vmapped kinematics of an arm, and what
+they make runs a hundred times slower. Network updates are 7 % slower without them, so that only
+programs with this engine do without. The option has no meaning elsewhere, and "auto" is never MJX
+on a CPU.
+"""
 
 
 def check_engine(name: str) -> None:

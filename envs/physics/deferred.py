@@ -8,13 +8,14 @@ computation. So whoever makes environments that may yet be sent to other process
 # pyright: reportAttributeAccessIssue=false
 
 import functools
+from collections.abc import Mapping
 
 import jax
 import mujoco
 import numpy as np
 
 from cgm_jax.envs.mocap_controller import ControlTarget
-from cgm_jax.envs.physics.choose import check_engine, start_engine
+from cgm_jax.envs.physics.choose import COMPILER_OPTIONS, check_engine, start_engine
 from cgm_jax.envs.physics.protocol import Physics, PhysicsState
 from cgm_jax.envs.scene import Scene
 
@@ -38,6 +39,11 @@ class DeferredPhysics:
             ValueError: it cannot run on JAX's device.
         """
         _ = self._engine
+
+    @property
+    def compiler_options(self) -> Mapping[str, bool]:
+        """XLA's options for programs that have the engine in them."""
+        return COMPILER_OPTIONS[self._name]
 
     @functools.cached_property
     def _engine(self) -> Physics:

@@ -13,14 +13,13 @@ from flax import struct
 from mujoco import mjx
 
 from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.choose import COMPILER_OPTIONS
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.physics.weld import WeldTerm
 from cgm_jax.envs.scene import Scene
 
-# XLA's fusion emitters on CPU take minutes to compile the vmapped kinematics of an arm and
-# then run it a hundred times slower. The flag costs network updates 7 %, so only this engine
-# sets it. It has no meaning on a GPU, and no effect once anything has run on JAX's backend: make
-# the environment first, or set XLA_FLAGS yourself.
+# For programs that do not ask for `compiler_options`, such as another library's. It has no effect
+# once anything has run on JAX's backend: make the environment first, or set XLA_FLAGS yourself.
 CPU_FLAG = "--xla_cpu_use_fusion_emitters=false"
 
 
@@ -50,6 +49,8 @@ def out_of_range(positions: jax.Array, velocities: jax.Array) -> jax.Array:
 
 class MjxPhysics:
     """The `mjx` engine. See `envs.physics.protocol.Physics`."""
+
+    compiler_options = COMPILER_OPTIONS["mjx"]
 
     def __init__(self, scene: Scene) -> None:
         """Put the scene's model on the device."""

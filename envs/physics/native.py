@@ -25,6 +25,7 @@ from jax.experimental.buffer_callback import buffer_callback
 from mujoco.batch import Batch
 
 from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.choose import COMPILER_OPTIONS
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.scene import Scene
 from cgm_jax.machine.allotment import cores_each
@@ -40,6 +41,8 @@ SENSOR_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL.value)
 
 class NativePhysics:
     """The `native` engine. See `envs.physics.protocol.Physics`."""
+
+    compiler_options = COMPILER_OPTIONS["native"]
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
         """Prepare to simulate `scene` on `threads` threads per caller.

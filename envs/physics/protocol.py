@@ -3,6 +3,7 @@
 # mujoco's compiled modules come without stubs.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import jax
@@ -30,6 +31,11 @@ class PhysicsState(struct.PyTreeNode):
 
 class Physics(Protocol):
     """A physics engine: pure functions of one simulation, vmappable to any depth."""
+
+    @property
+    def compiler_options(self) -> Mapping[str, bool]:
+        """XLA's options for programs that have the engine in them, as `jax.jit` takes them."""
+        ...
 
     def start(self, positions: jax.Array) -> PhysicsState:
         """A simulation at rest at the generalised positions [nq]."""

@@ -23,6 +23,7 @@ from mujoco import mjx
 from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
 
 from cgm_jax.envs.mocap_controller import ControlTarget
+from cgm_jax.envs.physics.choose import COMPILER_OPTIONS
 from cgm_jax.envs.physics.mjx import Motion, out_of_range
 from cgm_jax.envs.physics.protocol import PhysicsState
 from cgm_jax.envs.scene import Scene
@@ -36,6 +37,8 @@ REMARKS = int(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS)
 
 class WarpPhysics:
     """The `warp` engine. See `envs.physics.protocol.Physics`."""
+
+    compiler_options = COMPILER_OPTIONS["warp"]
 
     def __init__(
         self, scene: Scene, contacts: int | None = None, constraints: int | None = None

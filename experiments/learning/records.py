@@ -12,6 +12,7 @@ from typing import Any
 
 from cgm_jax.config.fields import parts
 from cgm_jax.config.grid import Run, run_of
+from cgm_jax.config.named import is_own
 from cgm_jax.results.statistics import holds
 from cgm_jax.storage.formats import upgraded
 from cgm_jax.storage.layout import CONFIG, METRICS
@@ -172,10 +173,14 @@ def settings_by_run(config: Mapping[str, Any]) -> list[tuple[str, Row]]:
 
 
 def _of_record(run: Mapping[str, Any]) -> Row:
-    """A run's settings; "auto", as plans once named the engine, was `native` wherever they ran."""
+    """A run's settings; "auto", as plans once named the engine, was `native` wherever they ran.
+
+    An environment of one's own has no engine to name.
+    """
     values = {"engine": "auto", **run}
     del values["name"]
-    return {**values, "engine": "native"} if values["engine"] == "auto" else values
+    was_native = values["engine"] == "auto" and not is_own(values["env"])
+    return {**values, "engine": "native"} if was_native else values
 
 
 def settings_from(values: Mapping[str, Any]) -> Row:

@@ -52,7 +52,7 @@ class Setting(NamedTuple):
         kappa: sharpness; None likewise.
         stages: how stages before the goal are pursued and replayed; empty where they are not.
         hidden_layers: their widths; empty where they are those of most plans, `USUAL_LAYERS`.
-        engine: of physics.
+        engine: of physics; empty where that is C MuJoCo, or the environment's own.
     """
 
     env: str
@@ -68,7 +68,7 @@ class Setting(NamedTuple):
     kappa: float | None = None
     stages: str = ""
     hidden_layers: str = ""
-    engine: str = "native"
+    engine: str = ""
 
     @property
     def task(self) -> str:
@@ -87,7 +87,7 @@ class Setting(NamedTuple):
             "mask as input": self.mask_input,
             self.stages: bool(self.stages),
             self.hidden_layers: bool(self.hidden_layers),
-            f"on {self.engine}": self.engine != "native",
+            f"on {self.engine}": bool(self.engine),
         }
         told = ", ".join(detail for detail, holds in details.items() if holds)
         name = f"{self.agent.upper()} + HER" if self.her else self.agent.upper()
@@ -128,7 +128,7 @@ def setting_of(settings: Mapping[str, Any]) -> Setting:
         settings.get("kappa"),
         _stages(settings) if settings["relabelling"] == "relay" else "",
         _widths(settings["hidden_layers"]),
-        settings["engine"],
+        settings["engine"] if settings["engine"] in ("mjx", "warp") else "",
     )
 
 

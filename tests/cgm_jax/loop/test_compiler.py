@@ -8,6 +8,7 @@ import pytest
 
 from cgm_jax import envs
 from cgm_jax.config.fields import stack
+from cgm_jax.envs.names import make_deferred
 from cgm_jax.loop.compiler import Compiler, is_compiling
 from cgm_jax.loop.training import SELDOM_RUN, Programs, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
@@ -38,18 +39,22 @@ def test_training_has_the_bits_of_programs_that_compile_when_called_and_compiles
         assert programs_compiled() == before
 
 
+OF_MJX = {"xla_cpu_use_fusion_emitters": False}
+
+
 @pytest.mark.parametrize(
-    ("env", "platform", "quick_to_compile"),
+    ("env", "platform", "expected"),
     [
-        (envs.make("reach", engine="native"), "cpu", (True, False, True)),
-        (envs.make("reach", engine="mjx"), "cpu", (True, False, False)),
-        (PointMass(), "cpu", (True, False, False)),
-        (PointMass(), "gpu", (False, False, False)),
+        (envs.make("reach", engine="native"), "cpu", [SELDOM_RUN, {}, SELDOM_RUN]),
+        (envs.make("reach", engine="mjx"), "cpu", [SELDOM_RUN, OF_MJX, OF_MJX]),
+        (make_deferred("reach", engine="mjx"), "gpu", [OF_MJX, OF_MJX, OF_MJX]),
+        (PointMass(), "cpu", [SELDOM_RUN, {}, {}]),
+        (PointMass(), "gpu", [{}, {}, {}]),
     ],
-    ids=["native", "mjx", "own", "gpu"],
+    ids=["native", "mjx", "mjx-gpu", "own", "gpu"],
 )
 def test_only_what_runs_seldom_and_none_of_an_environments_code_is_compiled_to_start_soon(
-    env: Any, platform: str, quick_to_compile: tuple[bool, ...], monkeypatch: pytest.MonkeyPatch
+    env: Any, platform: str, expected: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options, jit = {}, jax.jit
 
@@ -60,8 +65,7 @@ def test_only_what_runs_seldom_and_none_of_an_environments_code_is_compiled_to_s
     trainer = make_trainer(env, TINY, platform)
     monkeypatch.setattr(jax, "jit", recording)
     made = make_programs(trainer)
-    given = [options[program] for program in (made.start, made.train, made.evaluate)]
-    assert given == [SELDOM_RUN if quick else None for quick in quick_to_compile]
+    assert [options[program] for program in (made.start, made.train, made.evaluate)] == expected
 
 
 def test_states_from_a_checkpoint_need_no_program_that_makes_states() -> None:

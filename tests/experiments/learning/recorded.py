@@ -14,7 +14,7 @@ def run(
     rates: Sequence[float | None], seed: int = 0, sweep: str = "one", **settings: Any
 ) -> RecordedRun:
     """A run on push with HER that was evaluated every 1,000 environment steps and 2 seconds."""
-    usual = {"env": "push", "her_filter": True, "hidden_layers": USUAL_LAYERS, "engine": "native"}
+    usual = {"env": "push", "her_filter": True, "hidden_layers": USUAL_LAYERS}
     shared = {**usual, "epochs": len(rates)}
     values = settings_from({**shared, **settings, "seed": seed})
     rows = [

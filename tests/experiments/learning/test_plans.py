@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from cgm_jax.config.named import is_own
 from cgm_jax.config.presets import PRESETS
 from experiments.learning.plans import (
     not_written_out,
@@ -20,6 +21,12 @@ PLANS = read_plans()
 def test_every_sweep_is_one_that_the_program_takes(name: str) -> None:
     (env,) = {settings["env"] for settings in planned_settings(PLANS.sweeps[name])}
     assert name == "quick" or name.startswith(Path(env.partition(".py:")[0]).name)
+
+
+@pytest.mark.parametrize("name", PLANS.sweeps)
+def test_every_sweep_names_its_engine_where_it_may(name: str) -> None:
+    settings = PLANS.sweeps[name]
+    assert (settings["engine"] == "auto") == is_own(settings["env"])
 
 
 @pytest.mark.parametrize("name", PLANS.sweeps)

@@ -7,7 +7,7 @@ from experiments.learning.setting import USUAL_LAYERS, setting_of
 
 
 def setting(**settings: Any) -> Any:
-    usual = {"her_filter": True, "hidden_layers": USUAL_LAYERS, "engine": "native"}
+    usual = {"her_filter": True, "hidden_layers": USUAL_LAYERS}
     return setting_of(settings_from({**usual, **settings}))
 
 
