@@ -16,7 +16,7 @@ from cgm_jax.host.session import RUNS, new_directory
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import ANY_CLUSTER, Launch, absolute_path
 from cgm_jax.launching.merged import check_merged
-from cgm_jax.launching.plan import PROGRAM, LaunchOptions, planned
+from cgm_jax.launching.plan import PROGRAM, LaunchOptions, check_separated, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.merging import differences, read_parts, write_merged
@@ -30,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     place = words.index("--") if "--" in words else len(words)
+    check_separated(words[:place])
     options = parse(LaunchOptions, words[:place], PROGRAM)
     launch, groups = planned(options, words[place + 1 :])
     fresh = launch.path == Path() or not is_there("out", launch.path / LAUNCH)

@@ -58,7 +58,7 @@ def component(kind: str, name: str) -> type:
         raise SettingError(f"{kind}: {name!r} is not a name")
     if not is_own(name):
         if name not in builtin(kind):
-            choices = ", ".join(sorted(builtin(kind)))
+            choices = ", ".join([*sorted(builtin(kind)), "or FILE.py:NAME of your own"])
             raise SettingError(f"{kind}: unknown {kind} {name!r}; choose from {choices}")
         return builtin(kind)[name]
     found = load_named(kind, name)

@@ -33,7 +33,9 @@ class Settings:
     environments: int = static(16, "parallel environments; an episode each per cycle", 1, 10**6)
     updates_per_cycle: int = static(40, "updates of the critics per cycle", 1, 10**6)
     batch_size: int = static(1024, "transitions per update", 1, 10**7)
-    replay_transitions: int = static(1_000_000, "capacity of the replay buffer", 1, 10**10)
+    replay_transitions: int = static(
+        1_000_000, "capacity of the replay buffer; at least those of a cycle", 1, 10**10
+    )
     normaliser_floor: float = static(
         0.2, "least standard deviation of inputs, in distance thresholds", 0, 1e6
     )
@@ -41,7 +43,11 @@ class Settings:
     mask_input: bool = static(False, "show the networks which goal dimensions are masked")
     evaluation_episodes: int = static(20, "noise-free full-goal episodes per epoch", 1, 10**6)
     leave_at: float | None = static(
-        None, "end runs early once all side by side hold this success (default: never)", 0, 1
+        None,
+        "end runs early once all side by side hold this success, in the mean of three "
+        "evaluations (default: never)",
+        0,
+        1,
     )
     side_by_side: int = static(1_000_000, "runs that train side by side, at most", 1, 10**6)
 

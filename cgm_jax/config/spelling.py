@@ -17,6 +17,11 @@ def spelled(value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
+def counted(number: int, thing: str) -> str:
+    """How many of a thing: 1 run, 2,000 runs."""
+    return f"{number:,} {thing}{'' if number == 1 else 's'}"
+
+
 def value_of(item: "Field[Any]", word: str) -> Any:
     """The value of a setting that a word spells, by the type of the setting's default.
 

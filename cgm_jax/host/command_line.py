@@ -185,7 +185,8 @@ def _set_values(texts: Sequence[str], chosen: Mapping[str, Sequence[str]]) -> Gr
         chosen: components by kind, whose settings these may be.
 
     Raises:
-        SettingError: a text is not of that form, or a value not of the setting's type.
+        SettingError: a text is not of that form, a setting is given twice, or a value is not of
+            its type.
     """
     fields = LOOP_FIELDS | builtin_fields() | own_fields(chosen)
     values: Grid = {}
@@ -193,6 +194,8 @@ def _set_values(texts: Sequence[str], chosen: Mapping[str, Sequence[str]]) -> Gr
         name, equals, words = text.partition("=")
         if not equals or not name.isidentifier():
             raise SettingError(f"set: {text!r} is not NAME=VALUE")
+        if name in values:
+            raise SettingError(f"set: {name} is given twice; several values are {name}=A,B")
         # What nothing has is refused together with options that nothing has.
         item = fields.get(name)
         values[name] = [value_of(item, word) if item else word for word in words.split(",")]
@@ -252,17 +255,25 @@ def parse(
 
 
 def _check_words(words: Sequence[str], *, from_file: bool) -> None:
-    """Check that words do nothing but choose options.
+    """Check that words do nothing but choose options, each of them once.
 
     Tyro has options of its own, which write a completion script to whatever path they are given,
-    and end the process. So does --help, which a file has no business to ask for.
+    and end the process. So does --help, which a file has no business to ask for. Of an option that
+    is given twice it takes the last, and "None" for an option that is not given.
 
     Raises:
-        SettingError: one does more.
+        SettingError: one does more, or is not what it seems.
     """
+    given: set[str] = set()
     for word in words:
-        if word.replace("_", "-").startswith("--tyro-") or (from_file and asks_for_help([word])):
+        option = word.partition("=")[0].replace("_", "-")
+        if option.startswith("--tyro-") or (from_file and asks_for_help([word])):
             raise SettingError(f"{word[:60]!r} is no option here")
+        if option.startswith("--") and option in given:
+            raise SettingError(f"{option[2:62]}: is given twice; its values follow each other")
+        if word == "None" or (option.startswith("--") and word.endswith("=None")):
+            raise SettingError("None is no value; leave the option out")
+        given.add(option)
 
 
 def run_program(main: Callable[[], int]) -> NoReturn:
@@ -328,6 +339,7 @@ def _first_paragraph(box: str) -> str:
             break
         message.append(line)
     text = " ".join(message).partition(" Got errors")[0].strip()
+    text = re.sub(r"'None', |, 'None'", "", text)  # how tyro has options that may be left out
     return re.sub(
         r"no type matching .* could be instantiated from (.*?)\.?$", r"not understood: \1", text
     )

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 
 from cgm_jax.config.grid import structure
+from cgm_jax.config.spelling import counted
 from cgm_jax.host.device_errors import DeviceError, device_errors
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.jobs import Job
@@ -65,14 +66,14 @@ def show_plan(jobs: Sequence[Job], notes: Sequence[str], directory: RunDirectory
 def _plan_lines(jobs: Sequence[Job]) -> Iterator[str]:
     count = sum(len(job.group.runs) for job in jobs)
     programs = len({_key(job)[0] for job in jobs})
-    yield f"{_counted(count, 'run')} in {_counted(programs, 'program')}; nothing is written"
+    yield f"{counted(count, 'run')} in {counted(programs, 'program')}; nothing is written"
     for number, job in enumerate(jobs, 1):
         settings, runs, env = job.group.settings, job.group.runs, job.programs.trainer.setup.env
         steps = settings.environments * env.episode_length * settings.cycles_per_epoch
         components = f"{runs[0].values['curriculum']}, {runs[0].values['agent']}"
         yield (
-            f"{number}. {settings.env}, {components}: {_counted(len(runs), 'run')} side by side, "
-            f"{_counted(settings.epochs, 'epoch')} of {steps:,} environment steps each"
+            f"{number}. {settings.env}, {components}: {counted(len(runs), 'run')} side by side, "
+            f"{counted(settings.epochs, 'epoch')} of {steps:,} environment steps each"
         )
         yield from (f"   {run.name}" for run in runs[:MAX_SHOWN])
         if len(runs) > MAX_SHOWN:
@@ -164,10 +165,6 @@ def _left(job: Job, index: int, directory: RunDirectory | None) -> tuple[int, in
 def _key(job: Job) -> Key:
     program = (id(job.programs), structure(job.group.settings, job.group.runs[0].hyper))
     return program, len(job.group.runs)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count:,} {what}" + ("" if count == 1 else "s")
 
 
 def duration(seconds: float) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Run, split, structure
 from cgm_jax.config.settings import Settings
+from cgm_jax.config.spelling import counted
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.host.memory import estimate_memory, format_bytes, not_counted, runs_that_fit
 from cgm_jax.loop.cutting import WHOLE, Parts
@@ -68,10 +69,10 @@ def plan_jobs(
                 made[count] = make_programs(trainer, devices[:count])
             jobs.append(Job(part, made[count], cut))
         largest = max(len(part.runs) for part in parts)
-        note = f"{settings.env}: {len(runs)} runs"
+        note = f"{settings.env}: memory for {counted(len(runs), 'run')}"
         if len(parts) > 1:
-            note += f", {largest} at a time,"
-        note += f" take {format_bytes(estimate.total(largest, len(devices)))} of memory"
+            note += f", {largest} at a time"
+        note += f": {format_bytes(estimate.total(largest, len(devices)))}"
         if (sharing := share(largest, len(devices)).devices) > 1:
             note += f" on {'each of ' if not estimate.on_cpu else ''}{sharing} devices"
         notes.append(note + not_counted(trainer.setup.env))

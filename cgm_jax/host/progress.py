@@ -104,6 +104,10 @@ class SweepProgress:
         self._bar.update(self._task, speed=f"{env_steps / seconds:,.0f} environment steps/s")
         self._redraw()
 
+    def seconds(self) -> float:
+        """Since this was made, before anything compiled."""
+        return time.monotonic() - self._started
+
     def epoch(self, epoch: int, rows: Sequence[Mapping[str, Any]]) -> None:
         """An epoch is done: its rows of metrics.jsonl."""
         success = {row["run"]: success_of(row) for row in rows}
@@ -112,10 +116,8 @@ class SweepProgress:
         if not self._redraws:
             rates = sorted(rate for rate in success.values() if math.isfinite(rate)) or [math.nan]
             print(
-                f"epoch {epoch}: {rows[0]['env_steps']:,} environment steps, success median "
-                f"{_percent(rates[len(rates) // 2])} of {len(rates)} runs "
-                f"({_percent(rates[0])} to {_percent(rates[-1])}), "
-                f"{time.monotonic() - self._started:.0f} s",
+                f"epoch {epoch}: {rows[0]['env_steps']:,} environment steps, "
+                f"{_success_of_all(rates)}, {self.seconds():.0f} s",
                 file=sys.stderr,
                 flush=True,
             )
@@ -179,6 +181,14 @@ def _percent(rate: float) -> str:
 def success_of(row: Mapping[str, Any]) -> float:
     """The success rate in a row of metrics.jsonl; NaN where there was no valid episode."""
     return math.nan if row["success_rate"] is None else row["success_rate"]
+
+
+def _success_of_all(rates: Sequence[float]) -> str:
+    """The success of runs, in order of size, on a line."""
+    if len(rates) == 1:
+        return f"success {_percent(rates[0])}"
+    spread = f"({_percent(rates[0])} to {_percent(rates[-1])})"
+    return f"success median {_percent(rates[len(rates) // 2])} of {len(rates)} runs {spread}"
 
 
 def summary_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:

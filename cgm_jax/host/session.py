@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
@@ -161,7 +160,8 @@ def plan(
     Raises:
         SettingError: something cannot be as it is asked for.
     """
-    prepare_jax(cpu_devices(devices, groups))
+    sharing = cpu_devices(devices, groups)
+    prepare_jax(sharing)
     import jax
 
     from cgm_jax.host.jobs import plan_jobs
@@ -169,7 +169,9 @@ def plan(
     if on_this_machine:
         check_devices(devices)
     planned = planned or not on_this_machine
-    return plan_jobs(groups, jax.devices()[:devices], planned=planned)
+    # Of a CPU there may be one more, which is to be idle; see `prepare_jax`.
+    count = sharing if jax.default_backend() == "cpu" else devices
+    return plan_jobs(groups, jax.devices()[:count], planned=planned)
 
 
 def _start(asked: Asked, jobs: "Sequence[Job]") -> dict[str, np.ndarray] | None:
@@ -316,7 +318,6 @@ def _train(
     """
     from cgm_jax.host.runner import run_jobs
 
-    started = time.monotonic()
     progress.expect(
         sum(job.group.settings.epochs * job.group.settings.cycles_per_epoch for job in jobs)
     )
@@ -333,7 +334,7 @@ def _train(
         print(f"stopped; {_how_to_resume(directory.path, tracking.name)}", file=sys.stderr)
     else:
         print("\n".join(summary_lines(rows) + physics_lines(directory.metrics())))
-        print(f"{time.monotonic() - started:.0f} s; figures in {directory.path / 'figures'}")
+        print(f"{progress.seconds():.0f} s; figures in {directory.path / 'figures'}")
     figures = try_to_draw_figures(directory)
     if rows is not None and tracking.name is not None:
         show_results(directory, rows, figures, tracking)

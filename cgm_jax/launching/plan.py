@@ -4,7 +4,7 @@ import importlib
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -40,6 +40,9 @@ RANGES = {
     "minutes": (1, 10**6),
 }
 """Of resources."""
+
+OF_ONE_PLACE = {"minutes": "slurm", "sbatch": "slurm", "address": "ray"}
+"""Options that have an effect in one place only."""
 
 
 @dataclass(kw_only=True)
@@ -83,6 +86,24 @@ class LaunchOptions:
 
     address: str | None = None
     """ray: of the cluster (default: auto, the one of this machine or of RAY_ADDRESS)."""
+
+
+def check_separated(words: Sequence[str]) -> None:
+    """Check that no option of the sweep is among those of the launch.
+
+    Args:
+        words: what stands before `--`.
+
+    Raises:
+        SettingError: one is.
+    """
+    of_launch, of_sweep = (
+        {item.name for item in fields(kind)} for kind in (LaunchOptions, SweepOptions)
+    )
+    for word in words:
+        name = word.partition("=")[0].removeprefix("--").replace("-", "_")
+        if word.startswith("--") and name in of_sweep - of_launch:
+            raise SettingError(f"{name}: is an option of the sweep; those follow after --")
 
 
 def planned(options: LaunchOptions, words: Sequence[str]) -> tuple[Launch, list[Group]]:
@@ -141,7 +162,7 @@ def _new(options: LaunchOptions, words: Sequence[str]) -> tuple[Launch, list[Gro
         parts=min(jobs, runs),
         preset=preset,
         sweep=tuple(words),
-        resources=_resources(options, Resources()),
+        resources=_resources(options, Resources(), options.on or "local"),
     )
     if options.out is not None and is_there("out", path / LAUNCH):
         before = read_launch(path)
@@ -177,7 +198,7 @@ def _resumed(
     on = options.on or launch.on
     if on not in ENGINES or not 1 <= launch.parts <= sum(len(group.runs) for group in groups):
         raise SettingError(f"{launch.path / LAUNCH} is damaged: {launch.parts} parts on {on!r:.20}")
-    resources = _resources(options, launch.resources)
+    resources = _resources(options, launch.resources, on)
     if on == "ray" and resources.address not in (ANY_CLUSTER, options.address):
         # Ray takes code from the cluster that it connects to.
         raise SettingError(
@@ -213,12 +234,15 @@ def _check_trained(named: SweepOptions, groups: Sequence[Group], path: Path) -> 
                 raise SettingError(f"{kind}: {path} was launched with {there}, not {text}")
 
 
-def _resources(options: LaunchOptions, before: Resources) -> Resources:
+def _resources(options: LaunchOptions, before: Resources, on: str) -> Resources:
     """Resources of before, but for those that are given.
 
     Raises:
-        SettingError: one is out of its range.
+        SettingError: one is out of its range, or has no effect where parts are trained.
     """
+    for name, place in OF_ONE_PLACE.items():
+        if getattr(options, name) and on != place:
+            raise SettingError(f"{name}: goes with --on {place}")
     names = ("cores", "gpus", "memory", "minutes", "address")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if options.sbatch:

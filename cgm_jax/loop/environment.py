@@ -41,6 +41,12 @@ def make_environment(settings: Settings) -> GoalEnvironment:
         if is_gymnasium(settings.env):
             return _hosted(settings.env)
         return _from_file(settings.env)
+    if settings.env not in envs.TASKS:
+        choices = ", ".join(envs.TASKS)
+        raise SettingError(
+            f"env: unknown environment {settings.env!r}; choose from {choices}, FILE.py:NAME of "
+            "your own, or gymnasium:ID"
+        )
     fields = {}
     if settings.air_probability is not None:
         fields["air_probability"] = settings.air_probability

@@ -52,7 +52,10 @@ def test_an_agent_of_the_users_own_trains_by_its_settings_and_exports_its_policy
         ({"discount": [0.9]}, "^discount: is no setting of"),
         ({"agent": [f"{EXAMPLES / 'my_agent.py'}:MyState"]}, "is not derived from Agent$"),
         ({"agent": [f"{EXAMPLES / 'my_agent.py'}:descend"]}, "is not a class made by @settings$"),
-        ({"agent": ["nobody"]}, "^agent: unknown agent 'nobody'; choose from ddpg, sac, td3$"),
+        (
+            {"agent": ["nobody"]},
+            "^agent: unknown agent 'nobody'; choose from ddpg, sac, td3, or FILE.py:NAME",
+        ),
     ],
 )
 def test_what_is_wrong_with_it_is_told_in_one_line(change: dict[str, list], message: str) -> None:

@@ -1,4 +1,7 @@
 import dataclasses
+import re
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import jax
@@ -58,3 +61,21 @@ def test_the_number_of_devices_counts_where_bits_depend_on_it(
 ) -> None:
     monkeypatch.setattr(jax, "devices", lambda: [SimpleNamespace(device_kind=kind)] * 3)
     assert describe_devices() == shown
+
+
+def test_runs_on_one_core_share_one_device_though_jax_has_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Not among tests that have started JAX with devices of their own.
+    code = """
+from cgm_jax.config.grid import build_groups
+from cgm_jax.host import devices, session
+devices.available_cores = lambda: 1
+jobs, (note, *_) = session.plan(build_groups("smoke", {"env": ["reach"]}), None)
+import jax
+print(len(jax.devices()), note)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert re.fullmatch(r"2 reach: memory for 2 runs: [\d.]+ MiB\n", result.stdout)

@@ -121,9 +121,7 @@ def test_a_sweep_takes_what_was_said_beforehand(env: str, tmp_path: Path) -> Non
         check=True,
     )
     actual = int(result.stdout.split()[-1]) / 1024
-    said = re.search(
-        r"take ([\d.,]+) ([MG])iB of memory(?: on \d+ devices)?$", result.stderr, re.MULTILINE
-    )
+    said = re.search(r": ([\d.,]+) ([MG])iB(?: on \d+ devices)?$", result.stderr, re.MULTILINE)
     assert said is not None
     estimate = float(said[1].replace(",", "")) * (1024 if said[2] == "G" else 1)
     assert estimate == pytest.approx(actual, rel=0.15)

@@ -230,7 +230,10 @@ def test_trackers_are_found_by_their_files_names() -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("mlflow", "track: unknown track 'mlflow'; choose from tensorboard, trackio, wandb$"),
+        (
+            "mlflow",
+            "track: unknown track 'mlflow'; choose from tensorboard, trackio, wandb, or FILE.py",
+        ),
         ("wandb", r"track: wandb needs .* not installed: pip install '\.\[tracking\]'$"),
         (POINT_MASS, "is not derived from Tracker$"),
     ],

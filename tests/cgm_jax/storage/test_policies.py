@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cgm_jax.config.grid import build_groups
 from cgm_jax.loop.normaliser import network_input
 from cgm_jax.storage.policies import act, load_policy, policy_arrays
 from tests.cgm_jax.agents.trained import AGENTS, trained
@@ -17,8 +18,11 @@ def readme_policy(path: Path, observation: np.ndarray, goal: np.ndarray) -> np.n
     """The README's own lines, run on a policy file."""
     readme = (Path(__file__).parents[3] / "README.md").read_text()
     code = readme.split("<!-- policy -->\n```python\n")[1].split("```")[0]
-    namespace: dict[str, object] = {"path": path}
-    exec(code, namespace)
+    (group,) = build_groups("cpu", {"env": ["push"], "seed": [0]})  # what the README trains
+    of_readme = f"runs/push/policies/{group.runs[0].name}.npz"
+    assert of_readme in code
+    namespace: dict[str, object] = {}
+    exec(code.replace(of_readme, str(path)), namespace)
     return namespace["act"](observation, goal)  # pyright: ignore[reportCallIssue]
 
 

@@ -200,9 +200,9 @@ def test_a_sweep_that_was_stopped_before_its_first_evaluation_has_nothing_done(
 def test_an_engine_that_was_chosen_by_itself_was_the_one_for_the_cpu(tmp_path: Path) -> None:
     for env, engine, recorded in (
         *(("push", "auto", "native"), ("push", "mjx", "mjx")),
-        ("mine.py:Mine", "auto", "auto"),
+        (f"{Path(records.__file__).parent / 'sliders.py'}:Sliders", "auto", "auto"),
     ):
-        name = f"{env}-{engine}"
+        name = f"{Path(env).stem}-{engine}"
         trained(tmp_path / name, {"env": [env], "engine": [engine]}, [[1.0] * 5] * 2)
         record(tmp_path / name, name)
         assert {s["engine"] for _, s in records.recorded_settings(name)} == {recorded}
