@@ -13,7 +13,7 @@ them, in rooms:
 
     storage/     what lies on the disk: run directories, files of arrays
     host/        the process around training: signals, memory, progress
-    machine/     what the process was given: cores, memory
+    machine/     what the process runs on: cores, memory, what fails below JAX
     launching/   many processes for one sweep: this machine, SLURM, Ray
     results/     what is made of runs: figures, a page, merged parts, measured policies, videos,
                  trackers, ONNX

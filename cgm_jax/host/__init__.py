@@ -20,5 +20,4 @@ What keeps a sweep from losing anything:
     checkpoint.py       how far a group of runs has trained, as checked files
     interruption.py     Ctrl-C and SIGTERM; early_signals.py the same before anything is imported
     watchdog.py         where a program hangs
-    device_errors.py    errors from below JAX, in one line
 """

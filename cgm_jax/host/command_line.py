@@ -35,6 +35,7 @@ from cgm_jax.host.setting_options import (
     show_preset,
 )
 from cgm_jax.host.streams import make_streams_harmless
+from cgm_jax.machine.device_errors import DeviceError
 from cgm_jax.storage.files import refusal
 from cgm_jax.storage.lock import InUseError
 from cgm_jax.storage.run_directory import RunDirectory
@@ -277,7 +278,7 @@ def _check_words(words: Sequence[str], *, from_file: bool) -> None:
 
 
 def run_program(main: Callable[[], int]) -> NoReturn:
-    """Run a program's body and exit with its code, refusing bad settings with one line."""
+    """Run a program's body and exit with its code; what is refused, or fails, is one line."""
     make_streams_harmless()
     _OWNS_PROCESS.set(True)
     try:
@@ -286,6 +287,8 @@ def run_program(main: Callable[[], int]) -> NoReturn:
         refuse(str(error))
     except InUseError as error:
         refuse(str(error), ExitCode.IN_USE)
+    except DeviceError as error:
+        refuse(str(error), ExitCode.FAILED)
     except KeyboardInterrupt:
         sys.exit(ExitCode.STOPPED)
 

@@ -13,7 +13,6 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, swept_settings
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.host.checkpoint import TrainingProgress, check_last_checkpoint, load_checkpoint
-from cgm_jax.host.device_errors import device_errors
 from cgm_jax.host.interruption import PATIENCE_SECONDS, Interruption
 from cgm_jax.host.jobs import Job
 from cgm_jax.host.pace import CHUNK_SECONDS, Pace
@@ -26,6 +25,7 @@ from cgm_jax.loop.cutting import WHOLE
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs
+from cgm_jax.machine.device_errors import device_errors
 from cgm_jax.results.statistics import have_finished
 from cgm_jax.results.tracking import Tracking
 from cgm_jax.storage.checkpoints import finished_checkpoints

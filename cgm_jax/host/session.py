@@ -18,7 +18,6 @@ from cgm_jax.config.shards import Shard
 from cgm_jax.host.asked import Asked
 from cgm_jax.host.command_line import TrainingOptions, bring_config_back, owns_process
 from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
-from cgm_jax.host.device_errors import DeviceError
 from cgm_jax.host.devices import (
     check_devices,
     cpu_devices,
@@ -32,6 +31,7 @@ from cgm_jax.host.interruption import STOPPED_AT_ONCE, Interruption
 from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.machine.commands import shell_command
+from cgm_jax.machine.device_errors import DeviceError
 from cgm_jax.results.tracking import Tracking, find_tracker
 from cgm_jax.storage.checkpoints import holds_config
 from cgm_jax.storage.config_file import read_origin

@@ -1,6 +1,7 @@
-"""What this process was given, which any room may ask; only Python's own library is imported here.
+"""What this process runs on, which any room may ask; only Python's own library is imported here.
 
-allotment.py  cores and memory: a container, a batch system or an affinity mask may limit them
-forking.py    whether it was forked off a process in which JAX ran; loaded with the package
-commands.py   commands to be typed as they are printed
+allotment.py      cores and memory: a container, a batch system or an affinity mask may limit them
+device_errors.py  errors from below JAX, in one line
+forking.py        whether it was forked off a process in which JAX ran; loaded with the package
+commands.py       commands to be typed as they are printed
 """

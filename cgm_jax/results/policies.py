@@ -21,6 +21,7 @@ from cgm_jax.loop.exploration import Exploration, draw_exploration
 from cgm_jax.loop.judging import succeeds
 from cgm_jax.loop.own_environment import OwnEnvironment
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
+from cgm_jax.machine.device_errors import device_errors
 from cgm_jax.replay.ring import Episodes
 from cgm_jax.results.chosen import Policies
 from cgm_jax.results.plan import Plan, mask_words, masked_axes
@@ -103,6 +104,7 @@ def evaluate_policies(
     Raises:
         SettingError: a policy is malformed or made for something else, or the plan does not fit
             the environment.
+        DeviceError: the physics, the memory or something else below has failed.
     """
     # All environments first, so that what does not fit is refused before anything compiles.
     pairs = [(planned_environment(each.settings, plan), each.files) for each in policies]
@@ -122,6 +124,7 @@ def evaluate_random(
 
     Raises:
         SettingError: no such environment, or the plan does not fit it.
+        DeviceError: as `evaluate_policies`.
     """
     env = planned_environment(settings, plan)
 
@@ -244,6 +247,9 @@ def _play_all(
         count: how many policies there are.
         plan: the episodes.
         progress: is told of every chunk of episodes.
+
+    Raises:
+        DeviceError: the physics, the memory or something else below has failed.
     """
 
     def play_side_by_side(policies: Any, chunk: Chunk, recorded: int) -> Result:
@@ -260,10 +266,12 @@ def _play_all(
         successes, valid, recordings = np.zeros(width, int), np.zeros(width, int), []
         for start, chunk in _chunks(plan, size):
             recorded = min(max(0, plan.recorded - start), size)
-            successful, held, recording = program(block, chunk, recorded)
-            successes += np.asarray(successful)
-            valid += np.asarray(held)
-            recordings += [] if recording is None else [jax.tree.map(np.asarray, recording)]
+            with device_errors():
+                result: Result = jax.tree.map(np.asarray, program(block, chunk, recorded))
+            successful, held, recording = result
+            successes += successful
+            valid += held
+            recordings += [] if recording is None else [recording]
             played = min(start + size, plan.episodes)
             progress(first * plan.episodes + here * played, count * plan.episodes)
         for i in range(here):

@@ -20,7 +20,7 @@ from cgm_jax.results.plan import Plan
 from cgm_jax.results.policies import Outcome, evaluate_random
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.reaching import REACH, reaching_policy, reaching_runs
-from tests.cgm_jax.sweeps import ROOT
+from tests.cgm_jax.sweeps import ROOT, finish
 from tests.envs.surface import can_render
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -179,6 +179,16 @@ def test_a_frame_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SettingError, match=r"returns int32\[48,64,3\], not uint8\[48,64,3\]"):
         main(["--random", "--env", own, "--video", str(video), "--video-width", "64"])
     assert not video.exists()
+
+
+def test_what_fails_below_is_one_line() -> None:
+    env = "gymnasium:tests.envs.hosted.variants:tests/Failing-v0"
+    command = [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", env]
+    result = finish([*command, "--episodes", "2"], code=1)
+    assert result.stdout == ""
+    error = [line for line in result.stderr.splitlines() if not line.endswith("episodes")]
+    assert len(error) == 1, result.stderr
+    assert error[0].startswith(f"error: ValueError: env: {env}: RuntimeError: the motor broke (")
 
 
 @pytest.mark.skipif(bool(os.environ.get("DISPLAY")), reason="there is a display here")

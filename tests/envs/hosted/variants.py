@@ -156,6 +156,18 @@ class NotFinite(NumpyPointMass):
         return shown | {"observation": np.full(4, np.nan)}, reward, terminated, truncated, info
 
 
+class Failing(NumpyPointMass):
+    """Fails once its process has seen more steps than it is looked at for."""
+
+    taken = 0
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        Failing.taken += 1
+        if Failing.taken > 30:
+            raise RuntimeError("the motor broke")
+        return super().step(action)
+
+
 class Closing(NumpyPointMass):
     """Writes down that it is closed, and then fails; so it does when its process ends."""
 
@@ -203,7 +215,7 @@ class Reading(NumpyPointMass):
 VARIANTS = [
     *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
-    *(Closing, Hanging, Stubborn, Reading),
+    *(Failing, Closing, Hanging, Stubborn, Reading),
 ]
 for variant in VARIANTS:
     name = variant.__name__

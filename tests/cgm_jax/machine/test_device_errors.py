@@ -1,6 +1,6 @@
 import pytest
 
-from cgm_jax.host.device_errors import DeviceError, device_errors, summary
+from cgm_jax.machine.device_errors import DeviceError, device_errors, summary
 
 FROM_A_CALLBACK = """ValueError: INTERNAL: Error when calling buffer callback: Traceback:
   File "runner.py", line 164, in _train_chunk
