@@ -1,5 +1,6 @@
 """Stable-Baselines3's SAC and HER with `GoalMasking`: `make test-sb3`."""
 
+import csv
 import subprocess
 import sys
 from pathlib import Path
@@ -39,7 +40,7 @@ print(sum(successes))
 """After the README's lines: how many of 100 episodes with the full goal succeed."""
 
 
-def train(env: Any, steps: int, callback: Any = None, **buffer: Any) -> Any:
+def train(env: Any, steps: int, callback: Any = None, logger: Any = None, **buffer: Any) -> Any:
     model = sb3.SAC(
         "MultiInputPolicy",
         env,
@@ -52,6 +53,8 @@ def train(env: Any, steps: int, callback: Any = None, **buffer: Any) -> Any:
         train_freq=20,
         seed=0,
     )
+    if logger is not None:
+        model.set_logger(logger)
     return model.learn(steps, callback)
 
 
@@ -114,7 +117,7 @@ def test_the_buffer_replays_masked_goals_and_full_ones_in_hindsight(copy_info_di
     assert 0.05 < np.mean(virtual["reward"] == 0.0) < 0.95
 
 
-def test_evaluations_reach_every_training_environment() -> None:
+def test_evaluations_reach_every_training_environment(tmp_path: Path) -> None:
     from stable_baselines3.common.evaluation import evaluate_policy  # pyright: ignore
 
     from cgm_jax.gymnasium.stable_baselines3 import CurriculumEvalCallback
@@ -127,7 +130,10 @@ def test_evaluations_reach_every_training_environment() -> None:
 
     training = sb3.common.vec_env.DummyVecEnv([lambda: GoalMasking(Nearby(), c_g=0.5, kappa=8)] * 2)
     callback = CurriculumEvalCallback(evaluation(), n_eval_episodes=7, eval_freq=30, verbose=0)
-    model = train(training, 60, callback)  # ends before the first update: one policy throughout
+    logger = sb3.common.logger.configure(str(tmp_path), ["csv"])
+    # It ends before the first update: one policy throughout.
+    model = train(training, 60, callback, logger)
+    logger.close()
     outcomes: list[np.ndarray] = []
 
     def collect(local: dict[str, Any], _: Any) -> None:
@@ -140,9 +146,11 @@ def test_evaluations_reach_every_training_environment() -> None:
     assert len(samplers) == 2
     for sampler in samplers:
         np.testing.assert_array_equal(sampler.outcomes, outcomes)
-    logged = model.logger.name_to_value
-    assert logged["curriculum/subgoal_success_0"] == np.mean(outcomes, axis=0)[0]
-    assert logged["curriculum/full_goal_probability"] == samplers[0].probabilities[-1]
+    with (tmp_path / "progress.csv").open() as file:
+        (row,) = [row for row in csv.DictReader(file) if row["eval/mean_reward"]]
+    assert row["time/total_timesteps"] == "60"
+    assert float(row["curriculum/subgoal_success_0"]) == np.mean(outcomes, axis=0)[0]
+    assert float(row["curriculum/full_goal_probability"]) == samplers[0].probabilities[-1]
 
 
 class Nearby(NumpyPointMass):
