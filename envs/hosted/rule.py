@@ -35,12 +35,11 @@ class Rule:
         self._rewarded: float | None = None
         self._compute = _found(env, "compute_reward")
         self._takes_many = True
-        if callable(self._compute):
-            self._takes_many = self._many_work(achieved, goals)
-            self._rewarded = self._reward_of_success(achieved, goals)
+        failure = self._look_at_reward(achieved, goals) if callable(self._compute) else ""
         if self._rewarded is None and self._threshold is None:
             raise TaskError(
                 f"{env_id} has neither a compute_reward of two values nor a distance_threshold"
+                f"{failure}"
             )
         self.name = "distance_threshold" if self._rewarded is None else "compute_reward"
         self.distance_threshold = self._threshold or self._measured(env_id, goals[0])
@@ -62,6 +61,19 @@ class Rule:
         """Whether it says of an episode what `is_success` said, where that was said."""
         judged = self.success(episode.shown["achieved_goal"], episode.shown["desired_goal"])
         return all(one in (None, mine) for one, mine in zip(episode.said, judged, strict=True))
+
+    def _look_at_reward(self, achieved: np.ndarray, goals: np.ndarray) -> str:
+        """Find out whether `compute_reward` can be the rule; returns what it fails with, if so.
+
+        It may not be written at all, or read what `info` holds after a step.
+        """
+        try:
+            self._takes_many = self._many_work(achieved, goals)
+            self._rewarded = self._reward_of_success(achieved, goals)
+        except Exception as error:
+            line = str(error).partition("\n")[0]
+            return f"; compute_reward fails with {type(error).__name__}: {line}"
+        return ""
 
     def _reward_of_success(self, achieved: np.ndarray, goals: np.ndarray) -> float | None:
         """What achieved goals are rewarded with, if the reward has that and one other value.

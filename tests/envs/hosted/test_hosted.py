@@ -140,11 +140,22 @@ def test_a_reward_that_knows_no_goals_far_away_can_be_the_rule() -> None:
     assert Rows("tests/Walled-v0").facts["distance_threshold"] == pytest.approx(0.2, abs=1e-4)
 
 
+def test_a_reward_that_fails_leaves_it_to_the_distance() -> None:
+    rows = Rows("tests/Unwritten-v0")
+    assert (rows.facts["distance_threshold"], rows.facts["remarks"]) == (0.1, [])
+    off = np.array([[0.09, 0.0], [0.11, 0.0]], np.float32)
+    assert rows.success(off, np.zeros((2, 2), np.float32)).tolist() == [True, False]
+
+
 REFUSED = {
     "CartPole-v1": "CartPole-v1 is no goal environment: it lacks observation",
     "Nothing-v0": r"Nothing.* \(gymnasium:MODULE:ID imports a module first\)",
     "tests/Endless-v0": "tests/Endless-v0 has no max_episode_steps",
     "tests/NoRule-v0": "has neither a compute_reward of two values nor a distance_threshold",
+    "tests/ReadingInfo-v0": (
+        "tests/ReadingInfo-v0 has neither a compute_reward of two values nor a distance_threshold; "
+        "compute_reward fails with KeyError: 'is_success'"
+    ),
     "tests/MovingGoal-v0": "step of tests/MovingGoal-v0 changes desired_goal, which holds for an",
     "tests/OtherGoals-v0": (
         r"achieved_goal of tests/OtherGoals-v0 has shape \(2,\) and desired_goal \(3,\)"

@@ -83,6 +83,27 @@ class Walled(OneForSuccess):
         return super().compute_reward(achieved_goal, desired_goal, info)
 
 
+class Unwritten(NumpyPointMass):
+    """Has a threshold, and of `compute_reward` only the name."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self._position = self._position + 0.1 * action
+        self._steps += 1
+        return self._observation(), 0.0, False, self._steps >= self.episode_length, {}
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
+        raise NotImplementedError
+
+
+class ReadingInfo(Unwritten):
+    """Has no threshold, and rewards what `step` has said."""
+
+    distance_threshold = None  # pyright: ignore[reportAssignmentType]
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
+        return float(info["is_success"])
+
+
 class MovingGoal(NumpyPointMass):
     """Has another goal after each step."""
 
@@ -213,7 +234,8 @@ class Reading(NumpyPointMass):
 
 
 VARIANTS = [
-    *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, MovingGoal),
+    *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, Unwritten),
+    *(ReadingInfo, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
     *(Failing, Closing, Hanging, Stubborn, Reading),
 ]
