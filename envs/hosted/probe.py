@@ -94,7 +94,7 @@ def play(env: Any, length: int) -> Episode:
     said: list[bool | None] = [None]
     while len(actions) < length:
         actions.append(env.action_space.sample())
-        step, _, terminated, truncated, info = env.step(actions[-1])
+        step, _, terminated, truncated, info = env.step(actions[-1].copy())  # it may write into it
         shown.append(_entries(env, step))
         said.append(bool(info["is_success"]) if "is_success" in info else None)
         if terminated or truncated:

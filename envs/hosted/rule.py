@@ -92,17 +92,21 @@ class Rule:
 
     def _many_work(self, achieved: np.ndarray, goals: np.ndarray) -> bool:
         """Whether `compute_reward` takes goals [k, n] at once, with the same results."""
-        singly = [self._compute(a, d, {}) for a, d in zip(achieved, goals, strict=True)]
+        singly = [self._reward(a, d) for a, d in zip(achieved, goals, strict=True)]
         with contextlib.suppress(Exception):
-            together = np.asarray(self._compute(achieved, goals, {}))
+            together = np.asarray(self._reward(achieved, goals))
             return together.shape == (len(goals),) and np.array_equal(together, singly)
         return False
 
     def _rewards(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
         if self._takes_many:
-            return np.asarray(self._compute(achieved, desired, {}))
+            return np.asarray(self._reward(achieved, desired))
         pairs = zip(achieved, desired, strict=True)
-        return np.array([self._compute(one, other, {}) for one, other in pairs])
+        return np.array([self._reward(one, other) for one, other in pairs])
+
+    def _reward(self, achieved: np.ndarray, desired: np.ndarray) -> Any:
+        """The environment's own, which may write into what it is given."""
+        return self._compute(achieved.copy(), desired.copy(), {})
 
     def _measured(self, env_id: str, goal: np.ndarray) -> float:
         """How far one dimension may be off, at most."""

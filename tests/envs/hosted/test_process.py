@@ -51,6 +51,15 @@ def test_a_process_that_dies_is_said_to_have_ended() -> None:
             process.ask("reset", SEEDS)
 
 
+def test_an_environment_may_write_into_what_it_is_given() -> None:
+    process = started("tests/InPlace-v0")
+    assert (process.facts["distance_threshold"], process.facts["remarks"]) == (0.1, [])
+    achieved = np.array([[0.59, 1.0], [0.61, 1.0], [0.61, 1.0]], np.float32)
+    desired = np.array([[0.5, 1.0], [0.5, 1.0], [0.6, 1.0]], np.float32)
+    for _ in range(2):
+        assert process.ask("success", achieved, desired)[0].tolist() == [True, False, True]
+
+
 def test_at_its_end_all_is_closed_and_what_was_registered_for_the_exit_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -104,6 +104,18 @@ class ReadingInfo(Unwritten):
         return float(info["is_success"])
 
 
+class InPlace(NumpyPointMass):
+    """Writes into what it is given; so its point is at what is left of the way to the goal."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        action *= 0.5
+        return super().step(action)
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
+        achieved_goal -= desired_goal
+        return super().compute_reward(achieved_goal, 0.0 * desired_goal, info)
+
+
 class MovingGoal(NumpyPointMass):
     """Has another goal after each step."""
 
@@ -235,7 +247,7 @@ class Reading(NumpyPointMass):
 
 VARIANTS = [
     *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, Unwritten),
-    *(ReadingInfo, MovingGoal),
+    *(ReadingInfo, InPlace, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
     *(Failing, Closing, Hanging, Stubborn, Reading),
 ]
