@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cgm_jax.envs.hosted.worker import receive, send
+from cgm_jax.envs.hosted.worker import MessageError, receive, send
 
 INTERPRETER = "CGM_JAX_GYMNASIUM_PYTHON"
 """Environment variable: the Python that has the task's packages, if it is not the running one."""
@@ -43,10 +43,10 @@ class HostedProcess:
         self.name = name
         self._lock = threading.Lock()  # XLA may run two callbacks at once
         python = other_interpreter()
-        command = [python or sys.executable, str(WORKER)]
+        self._python = python or sys.executable
         try:
             self._process = subprocess.Popen(
-                command,
+                [self._python, str(WORKER)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C is for this process
@@ -83,6 +83,11 @@ class HostedProcess:
                 # What has been asked may still be answered, which would pass for the next answer.
                 self._process.stdout.close()
                 _end(self._process)
+                if isinstance(error, MessageError):
+                    raise ValueError(
+                        f"env: {self.name}: what {self._python} prints is no answer; it must be a "
+                        "Python that prints nothing by itself"
+                    ) from None
                 if not isinstance(error, OSError | EOFError):
                     raise
                 code = self._process.returncode

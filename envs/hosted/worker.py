@@ -9,45 +9,66 @@ import contextlib
 import importlib
 import importlib.util
 import json
+import math
 import os
 import signal
 import sys
 import traceback
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-import numpy as np
+if TYPE_CHECKING:  # an interpreter without numpy is to say so, as `begin` does
+    import numpy as np
 
 CLOSING_S = 10
 """What closing the environments may take, though nobody may be left to wait for it."""
 
 
-def send(stream: BinaryIO, op: str, arrays: list[np.ndarray], **values: Any) -> None:
+class MessageError(Exception):
+    """What was read is no message of ours."""
+
+
+def send(stream: BinaryIO, op: str, arrays: "list[np.ndarray]", **values: Any) -> None:
     """Write one message."""
     described = [[array.dtype.str, array.shape] for array in arrays]
     stream.write(json.dumps({"op": op, **values, "arrays": described}).encode() + b"\n")
     for array in arrays:
-        stream.write(np.ascontiguousarray(array).tobytes())
+        stream.write(array.tobytes())
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[np.ndarray]]:
+def receive(stream: BinaryIO) -> "tuple[dict[str, Any], list[np.ndarray]]":
     """Read one message.
 
     Raises:
         EOFError: the other side has ended.
+        MessageError: it does not speak as this one.
     """
     line = stream.readline()
     if not line.endswith(b"\n"):
         raise EOFError
-    message, arrays = json.loads(line), []
-    for kind, shape in message["arrays"]:
-        count = int(np.prod(shape, dtype=np.int64)) * np.dtype(kind).itemsize
-        data = stream.read(count)
-        if len(data) < count:
-            raise EOFError
-        arrays.append(np.frombuffer(data, kind).reshape(shape))
-    return message, arrays
+    try:
+        message = json.loads(line)
+    except ValueError:
+        raise MessageError from None
+    if not (isinstance(message, dict) and {"op", "arrays"} <= set(message)):
+        raise MessageError
+    return message, [_read_array(stream, *described) for described in message["arrays"]]
+
+
+def _read_array(stream: BinaryIO, kind: str, shape: list[int]) -> "np.ndarray":
+    """Read one array of a message.
+
+    Raises:
+        EOFError: the other side has ended.
+    """
+    import numpy as np
+
+    count = math.prod(shape) * np.dtype(kind).itemsize
+    data = stream.read(count)
+    if len(data) < count:
+        raise EOFError
+    return np.frombuffer(data, kind).reshape(shape)
 
 
 def main() -> None:
@@ -97,8 +118,15 @@ def described(error: Exception) -> str:
 
 
 def begin(message: dict[str, Any]) -> Any:
-    """Import the task's module, if it has one, and look at its environment."""
-    rows = own_package().rows  # with Gymnasium, before the task's folders are searched
+    """Import the task's module, if it has one, and look at its environment.
+
+    Raises:
+        ImportError: this interpreter lacks what is needed.
+    """
+    try:
+        rows = own_package().rows  # with Gymnasium, before the task's folders are searched
+    except ImportError as error:
+        raise ImportError(f"{sys.executable} needs numpy and gymnasium: {error}") from None
     from_here = message["path"] is not None
     sys.path[:0] = [one for one in message["path"] or [""] if one not in sys.path]
     if message["module"] and from_here:
@@ -125,8 +153,10 @@ def own_package() -> Any:
     return package
 
 
-def serve(rows: Any, op: str, arrays: list[np.ndarray]) -> list[np.ndarray]:
+def serve(rows: Any, op: str, arrays: "list[np.ndarray]") -> "list[np.ndarray]":
     """The answer to a request."""
+    import numpy as np
+
     if op == "success":
         return [rows.success(*arrays)]
     ticket, batch = rows.reset(*arrays) if op == "reset" else rows.step(*arrays)

@@ -125,6 +125,49 @@ def test_a_module_may_be_called_as_a_file_of_ours_is(
     assert started("tests/Dense-v0", "rows").facts["goal_size"] == 2
 
 
+BARE = """#!/bin/sh
+exec {python} -I -S "$@"
+"""
+"""A Python without packages."""
+
+CHATTY = """#!/bin/sh
+echo welcome
+exec {python} "$@"
+"""
+
+
+@pytest.mark.parametrize(
+    ("script", "complaint"),
+    [
+        (
+            BARE,
+            r"ImportError: .* needs numpy and gymnasium: No module named '(numpy|gymnasium)' \(",
+        ),
+        (
+            CHATTY,
+            "what .*/other prints is no answer; it must be a Python that prints nothing by its",
+        ),
+    ],
+)
+def test_an_interpreter_that_does_not_serve_is_refused_in_one_line(
+    script: str,
+    complaint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    other = tmp_path / "other"
+    other.write_text(script.format(python=sys.executable))
+    other.chmod(0o700)
+    monkeypatch.setenv(hosted.INTERPRETER, str(other))
+    with pytest.raises(
+        ValueError, match=f"^env: gymnasium:.*:tests/Dense-v0: {complaint}"
+    ) as error:
+        started("tests/Dense-v0")
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr().err == ""
+
+
 def request(env_id: str) -> bytes:
     name = f"gymnasium:{MODULE}:{env_id}"
     values = {"path": sys.path, "id": env_id, "module": MODULE, "name": name, "trust": BY_PROGRAM}
