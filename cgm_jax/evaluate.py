@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cgm_jax.config.components import ROOMS
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import (
@@ -146,8 +147,9 @@ def _check(options: EvaluateOptions) -> None:
             "source: name a run directory or a policy file, or give --pretrained TASK, "
             "or --random --env TASK"
         )
-    if options.run is not None and options.source is None:
-        raise SettingError("run: goes with a run directory")
+    for name in ("run", *ROOMS):
+        if getattr(options, name) is not None and options.source is None:
+            raise SettingError(f"{name}: goes with a run directory")
     if options.random and len(options.env or ()) != 1:
         raise SettingError("env: --random needs one")
     if options.pretrained is not None:
@@ -156,8 +158,17 @@ def _check(options: EvaluateOptions) -> None:
             raise SettingError("env: --pretrained names its task itself")
     if options.view and options.video is not None:
         raise SettingError("view: shows what --video writes; give one of them")
-    if options.video is not None:
+    if options.video is None:
+        _check_no_video(options)
+    else:
         _check_video(options.video, options.video_width)
+
+
+def _check_no_video(options: EvaluateOptions) -> None:
+    if options.video_width != EvaluateOptions.video_width:
+        raise SettingError("video_width: goes with --video")
+    if options.video_episodes != EvaluateOptions.video_episodes and not options.view:
+        raise SettingError("video_episodes: goes with --video or --view")
 
 
 def _check_video(path: Path, width: int) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cgm_jax.config.components import NAMES
+from cgm_jax.config.components import NAMES, ROOMS
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.pretrained import pretrained_policy
@@ -84,6 +84,9 @@ def _settings_of_file(path: Path, named: Mapping[str, Sequence[str]]) -> Setting
 
     Those of its run, if it lies in a run directory's `policies` or `policies/improvements`; else
     of the environment that the user names.
+
+    Raises:
+        SettingError: there is neither, or the user names what only a run directory has.
     """
     folder, run = path.resolve().parent, path.stem
     if folder.name == "improvements" and (improvement := IMPROVEMENT.fullmatch(run)):
@@ -93,6 +96,9 @@ def _settings_of_file(path: Path, named: Mapping[str, Sequence[str]]) -> Setting
         for group in directory.config.groups(directory.config.moved(named)):
             if run in (one.name for one in group.runs):
                 return group.settings
+    for kind in ROOMS:
+        if named.get(kind):
+            raise SettingError(f"{kind}: {path} lies in no run directory, and needs --env alone")
     environments = named.get("env", ())
     if len(environments) != 1:
         raise SettingError(f"env: name the environment of {path}, which lies in no run directory")

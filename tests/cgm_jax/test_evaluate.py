@@ -94,6 +94,9 @@ BAD_INPUT = {
     "--pretrained slide": "pretrained: no policy 'slide'; choose from reach, push, pick_and_place",
     "--pretrained reach --env push": "env: --pretrained names its task itself",
     "--pretrained reach --run x": "run: goes with a run directory",
+    "--pretrained reach --agent nonsense": "agent: goes with a run directory",
+    "--pretrained reach --curriculum cgm": "curriculum: goes with a run directory",
+    "--random --env reach --relabelling x": "relabelling: goes with a run directory",
     "nowhere.npz --env reach": "source: there is no file nowhere.npz",
     "nowhere.npz --run x": "run: goes with a run directory, not with a policy file",
     "README.md --env reach": "README.md holds no sweep",
@@ -112,6 +115,9 @@ BAD_INPUT = {
     "--random --env reach --video out.avi": "video: out.avi ends neither in .mp4 nor in .gif",
     "--random --env reach --video nowhere/out.gif": "video: nowhere is no directory",
     "--random --env reach --video a.gif --video-width 100": "video_width: 100 is not a multiple",
+    "--random --env reach --video-width 320": "video_width: goes with --video",
+    "--random --env reach --video-episodes 7": "video_episodes: goes with --video or --view",
+    "--random --env reach --view --video-width 320": "video_width: goes with --video",
     "--random --env tests/examples/point_mass.py:PointMass --mask z": "have no z",
     "--random --env tests/cgm_jax/own_environments.py:Base --video a.gif": "has no render_frame",
     "--random --env tests/examples/point_mass.py:PointMass --view": "only the Fetch tasks have",
@@ -143,6 +149,8 @@ def test_a_policy_file_is_evaluated_in_the_environment_of_its_run_or_in_a_named_
     ]
     with pytest.raises(SettingError, match=r"env: name the environment of .*mine\.npz"):
         main([str(elsewhere)])
+    with pytest.raises(SettingError, match=r"agent: .*mine\.npz lies in no run directory"):
+        main([str(elsewhere), "--env", "reach", "--agent", "sac"])
     with pytest.raises(SettingError, match="made for observations of size 10, not 25"):
         main([str(elsewhere), "--env", "push"])
     with pytest.raises(SettingError, match="was trained with reach, not push"):
