@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from cgm_jax.host.progress import CountProgress
     from cgm_jax.results.policies import Outcome
 
-VIDEO_FORMATS = (".mp4", ".gif")
+GIF = ".gif"
+VIDEO_FORMATS = (".mp4", GIF)
 MAX_VIDEO_EPISODES = 1000
 WIDTH_STEP, MAX_WIDTH = 64, 1280
 """Encoders want both sides to be multiples of 16, and the height is three quarters."""
@@ -183,12 +184,14 @@ def _check_video(path: Path, width: int) -> None:
 
 def _plan(options: EvaluateOptions) -> Plan:
     shown = options.view or options.video is not None
+    is_gif = options.video is not None and options.video.suffix == GIF
     return Plan(
         episodes=options.episodes,
         seed=options.seed,
         mask=options.mask,
         recorded=min(options.video_episodes, options.episodes) if shown else 0,
         view=options.view,
+        gif_width=options.video_width if is_gif else None,
         engine=options.engine,
     )
 

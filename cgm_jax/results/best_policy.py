@@ -31,7 +31,7 @@ def video_of_best_policy(directory: RunDirectory, rows: Sequence[Row]) -> Path:
         OSError: the file cannot be written.
     """
     best = max(rows, key=lambda row: row["success_rate"] or 0.0)["run"]
-    plan = Plan(episodes=EPISODES, seed=SEED, recorded=EPISODES)
+    plan = Plan(episodes=EPISODES, seed=SEED, recorded=EPISODES, gif_width=WIDTH)
     outcome = evaluate_policies(chosen_policies(directory.path, None, best, {}), plan)[best]
     env: Any = outcome.env  # of which it is known that it can be rendered
     recording = outcome.recording

@@ -21,6 +21,7 @@ class Plan:
         mask: goal dimensions that count as achieved, such as "xz" or "0,4"; "" is the full goal.
         recorded: of how many episodes, the first ones, to keep every state.
         view: whether they are for MuJoCo's viewer, and not for a video.
+        gif_width: of the .gif that they are for, pixels; None where they are for something else.
         engine: physics engine to use instead of the one in the settings, or None.
 
     Raises:
@@ -32,6 +33,7 @@ class Plan:
     mask: str = ""
     recorded: int = 0
     view: bool = False
+    gif_width: int | None = None
     engine: str | None = None
 
     def __post_init__(self) -> None:

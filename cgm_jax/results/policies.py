@@ -46,6 +46,9 @@ CHUNK_ROWS = 4096
 simulator of its own, are of one policy.
 """
 
+MAX_GIF_BYTES = 4 * 2**30
+"""What the frames of a .gif may take: some 65 episodes of a Fetch task, 640 pixels wide."""
+
 NOISE = 2**31
 """What makes the key of an episode's noise of its own; a reset splits that in far fewer."""
 
@@ -178,6 +181,8 @@ def _check_shown(env: GoalEnvironment, name: str, plan: Plan) -> None:
             f"video: {name} has no render_frame(state, width, height); "
             "see envs.RenderableEnvironment"
         )
+    if plan.gif_width is not None:
+        _check_memory_of_gif(plan.recorded, env.episode_length, plan.gif_width)
     try:
         if plan.view:
             check_display()
@@ -185,6 +190,17 @@ def _check_shown(env: GoalEnvironment, name: str, plan: Plan) -> None:
             check_rendering()
     except RenderingError as error:
         raise SettingError(f"{shown_as}: {error}") from None
+
+
+def _check_memory_of_gif(episodes: int, length: int, width: int) -> None:
+    """Check that frames of a .gif fit: they share a palette, so that all are held till the end."""
+    frame = width * (width * 3 // 4) * 4  # bytes; RGB, and then a number in the palette as well
+    needed = episodes * length * frame
+    if needed > MAX_GIF_BYTES:
+        raise SettingError(
+            f"video_episodes: a .gif of {episodes} takes {needed / 2**30:.1f} GiB of memory, and "
+            f"{MAX_GIF_BYTES / 2**30:.0f} is the most; take fewer, a smaller width, or an .mp4"
+        )
 
 
 def goal_mask(mask: str, goal_size: int) -> np.ndarray:

@@ -118,6 +118,10 @@ BAD_INPUT = {
     "--random --env reach --video-width 320": "video_width: goes with --video",
     "--random --env reach --video-episodes 7": "video_episodes: goes with --video or --view",
     "--random --env reach --view --video-width 320": "video_width: goes with --video",
+    "--random --env reach --video a.gif --video-episodes 100": (
+        "video_episodes: a .gif of 100 takes 5.7 GiB of memory, and 4 is the most; take fewer"
+    ),
+    "--random --env reach --video a.gif --video-width 1280 --video-episodes 18": "takes 4.1 GiB",
     "--random --env tests/examples/point_mass.py:PointMass --mask z": "have no z",
     "--random --env tests/cgm_jax/own_environments.py:Base --video a.gif": "has no render_frame",
     "--random --env tests/examples/point_mass.py:PointMass --view": "only the Fetch tasks have",

@@ -64,7 +64,7 @@ def test_ctrl_c_in_the_middle_of_a_video_is_one_line_and_leaves_no_file(
     suffix: str, tmp_path: Path
 ) -> None:
     command = [sys.executable, "-m", "cgm_jax.evaluate", "--random", "--env", "reach"]
-    command += ["--video", str(tmp_path / f"video.{suffix}"), "--video-episodes", "100"]
+    command += ["--video", str(tmp_path / f"video.{suffix}"), "--video-episodes", "60"]
     with subprocess.Popen(
         command,
         stdout=subprocess.DEVNULL,
