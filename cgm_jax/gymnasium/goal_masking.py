@@ -79,26 +79,29 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
             ValueError: an argument out of its range, no goal environment, or a goal of more than
                 512 dimensions.
         """
-        RecordConstructorArgs.__init__(
-            self,
-            c_g=c_g,
-            kappa=kappa,
-            distance_threshold=distance_threshold,
-            distance=distance,
-            history=history,
-            mask_levels=mask_levels,
-            evaluating=evaluating,
-        )
         gymnasium.Wrapper.__init__(self, env)
         goals = goal_space(env.observation_space)
         self.observation_space = with_goal_space(env.observation_space, goals)  # pyright: ignore
-        if distance_threshold is None and env.has_wrapper_attr("distance_threshold"):
-            distance_threshold = env.get_wrapper_attr("distance_threshold")
-        self.rule = make_rule(goals.shape[0], distance_threshold, distance)
+        threshold = distance_threshold
+        if threshold is None and env.has_wrapper_attr("distance_threshold"):
+            threshold = env.get_wrapper_attr("distance_threshold")
+        self.rule = make_rule(goals.shape[0], threshold, distance)
         self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history, mask_levels)
         self.evaluating = evaluating
         self._generator = mask_generator(None)
         self._mask: np.ndarray | None = None
+        given = None if distance_threshold is None else np.asarray(distance_threshold).tolist()
+        # Python's own numbers, since they go into the spec, which is compared and written as JSON.
+        RecordConstructorArgs.__init__(
+            self,
+            c_g=float(c_g),
+            kappa=float(kappa),
+            distance_threshold=given,
+            distance=distance,
+            history=int(history),
+            mask_levels=mask_levels,
+            evaluating=evaluating,
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

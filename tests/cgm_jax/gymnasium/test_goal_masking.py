@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 from cgm_jax.gymnasium import GoalMasking
@@ -255,6 +256,23 @@ def test_gymnasiums_own_checker_has_no_complaint_and_make_builds_it_again() -> N
         np.testing.assert_array_equal(again.sampler.subgoal_rates, [0.3**0.5] * 2)
     finally:
         del gymnasium.registry["WrappedPointMass-v0"]
+
+
+@pytest.mark.parametrize("threshold", [None, 0.2, np.float32(0.25), np.array([0.1, 0.2]), [1, 2]])
+def test_its_spec_is_written_and_read_and_makes_the_same_again(threshold: Any) -> None:
+    env = GoalMasking(
+        gymnasium.make("NumpyPointMass-v0"),
+        kappa=np.float32(4.0),  # pyright: ignore[reportArgumentType]
+        distance_threshold=threshold,
+        distance="per_dimension" if np.ndim(threshold) else "euclidean",
+        history=np.int64(20),  # pyright: ignore[reportArgumentType]
+    )
+    assert env.spec is not None
+    read = EnvSpec.from_json(env.spec.to_json())
+    assert read == env.spec
+    again: Any = gymnasium.make(read)
+    assert again.spec == env.spec
+    np.testing.assert_array_equal(again.rule.threshold, 0.1 if threshold is None else threshold)
 
 
 def test_the_threshold_is_the_environments_own_unless_one_is_given() -> None:
