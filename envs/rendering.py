@@ -236,7 +236,7 @@ def check_size(scene: Scene, width: int, height: int) -> None:
         ("width", width, limits.offwidth),
         ("height", height, limits.offheight),
     ):
-        if not isinstance(size, numbers.Integral):
+        if not isinstance(size, numbers.Integral) or isinstance(size, bool):
             raise TypeError(f"{name}: {size!r} is no integer")
         if not 1 <= size <= limit:
             raise ValueError(f"{name}: {size} is not within [1, {limit}]")

@@ -70,7 +70,8 @@ def make_rule(
             "distance_threshold: the environment has no attribute of this name, so give one"
         )
     threshold = np.asarray(distance_threshold)
-    if not all(isinstance(number, Real) for number in threshold.ravel().tolist()):
+    entries = threshold.ravel().tolist()
+    if not all(isinstance(entry, Real) and not isinstance(entry, bool) for entry in entries):
         raise ValueError(f"distance_threshold: {distance_threshold!r} holds no real numbers")
     if threshold.shape not in ((), (goal_size,)):
         raise ValueError(

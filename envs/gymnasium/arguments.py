@@ -47,7 +47,7 @@ def check_fields(fields: Mapping[str, Any]) -> None:
         if name not in FIELDS:
             advice = INSTEAD.get(name, f"choose from {', '.join(FIELDS)}")
             raise ValueError(f"{name}: no such field; {advice}")
-        if not isinstance(value, numbers.Real):
+        if not isinstance(value, numbers.Real) or isinstance(value, bool):
             raise TypeError(f"{name}: {value!r} is no number")
         if not math.isfinite(value):
             raise ValueError(f"{name}: {value} is not finite")
@@ -60,10 +60,13 @@ def row_count(num_envs: Any) -> int:
         TypeError: no integer.
         ValueError: less than 1.
     """
+    refusal = TypeError(f"num_envs: {num_envs!r} is no integer")
+    if isinstance(num_envs, bool):
+        raise refusal
     try:
         count = operator.index(num_envs)
     except TypeError:
-        raise TypeError(f"num_envs: {num_envs!r} is no integer") from None
+        raise refusal from None
     if count < 1:
         raise ValueError(f"num_envs: {count} is not at least 1")
     return count
@@ -78,7 +81,7 @@ def step_limit(max_episode_steps: int | None, default: int) -> float:
     """
     if max_episode_steps is None:
         return default
-    if not isinstance(max_episode_steps, int):
+    if not isinstance(max_episode_steps, int) or isinstance(max_episode_steps, bool):
         raise TypeError(f"max_episode_steps: {max_episode_steps!r} is no integer")
     if max_episode_steps == -1:
         return math.inf

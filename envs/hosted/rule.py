@@ -30,8 +30,9 @@ class Rule:
         env_id = env.spec.id
         goals, achieved = episode.shown["desired_goal"], episode.shown["achieved_goal"]
         threshold = _found(env, "distance_threshold")
-        is_number = isinstance(threshold, numbers.Real) and 0.0 < float(threshold) < math.inf
-        self._threshold = float(threshold) if is_number else None
+        is_number = isinstance(threshold, numbers.Real) and not isinstance(threshold, bool)
+        is_distance = is_number and 0.0 < float(threshold) < math.inf
+        self._threshold = float(threshold) if is_distance else None
         self._rewarded: float | None = None
         self._compute = _found(env, "compute_reward")
         self._takes_many = True

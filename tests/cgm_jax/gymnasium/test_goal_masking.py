@@ -294,6 +294,7 @@ def box(*shape: int) -> spaces.Box:
         ({"distance_threshold": 0.0}, "distance_threshold: 0.0 is not finite and above 0"),
         ({"distance_threshold": float("nan")}, "distance_threshold: nan"),
         ({"distance_threshold": "near"}, "distance_threshold: 'near' holds no real numbers"),
+        ({"distance_threshold": True}, "distance_threshold: True holds no real numbers"),
         ({"distance_threshold": [0.1, 0.1]}, r"shape \(2,\) is neither \(\) nor \(3,\)"),
         ({"distance_threshold": [0.1] * 3}, 'one per dimension needs distance="per_dimension"'),
         ({"distance": "manhattan"}, "distance: 'manhattan' is none of"),

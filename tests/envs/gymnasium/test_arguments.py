@@ -144,6 +144,7 @@ WRONG_ARGUMENTS: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"distance_threshold": NAN}, ValueError, "distance_threshold: nan is not finite"),
     ({"distance_threshold": INF}, ValueError, "distance_threshold: inf is not finite"),
     ({"distance_threshold": "5 cm"}, TypeError, "distance_threshold: '5 cm' is no number"),
+    ({"distance_threshold": True}, TypeError, "distance_threshold: True is no number"),
     ({"distance_threshold": [0.05]}, TypeError, "distance_threshold: .* is no number"),
     ({"air_probability": -0.1}, ValueError, "air_probability: -0.1 is not within"),
     ({"engine": "bullet"}, ValueError, "engine: unknown engine 'bullet'"),
@@ -152,6 +153,7 @@ WRONG_ARGUMENTS: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"width": 0}, ValueError, r"width: 0 is not within \[1, 1280\]"),
     ({"height": 5000}, ValueError, r"height: 5000 is not within \[1, 960\]"),
     ({"width": 64.0}, TypeError, "width: 64.0 is no integer"),
+    ({"width": True}, TypeError, "width: True is no integer"),
 ]
 
 
@@ -172,6 +174,11 @@ def test_the_classes_themselves_refuse_as_well(environment: Any) -> None:
     if environment is FetchGymnasium:
         with pytest.raises(ValueError, match=r"max_episode_steps: .*gymnasium\.make"):
             environment("reach", max_episode_steps=10)
+
+
+def test_true_is_no_number_of_steps() -> None:
+    with pytest.raises(TypeError, match="max_episode_steps: True is no integer"):
+        FetchVector("reach", 2, max_episode_steps=True)
 
 
 def test_other_ways_to_autoreset_are_refused_with_what_to_write() -> None:
@@ -198,7 +205,8 @@ def test_what_to_write_works(mode: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("num_envs", "kind"), [(0, ValueError), (-3, ValueError), (2.0, TypeError), ("2", TypeError)]
+    ("num_envs", "kind"),
+    [(0, ValueError), (-3, ValueError), (2.0, TypeError), ("2", TypeError), (True, TypeError)],
 )
 def test_a_batch_has_at_least_one_row(num_envs: Any, kind: type[Exception]) -> None:
     with pytest.raises(kind, match="num_envs: "):

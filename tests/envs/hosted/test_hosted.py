@@ -152,6 +152,7 @@ REFUSED = {
     "Nothing-v0": r"Nothing.* \(gymnasium:MODULE:ID imports a module first\)",
     "tests/Endless-v0": "tests/Endless-v0 has no max_episode_steps",
     "tests/NoRule-v0": "has neither a compute_reward of two values nor a distance_threshold",
+    "tests/TrueThreshold-v0": "has neither a compute_reward of two values nor a distance_threshold",
     "tests/ReadingInfo-v0": (
         "tests/ReadingInfo-v0 has neither a compute_reward of two values nor a distance_threshold; "
         "compute_reward fails with KeyError: 'is_success'"

@@ -51,6 +51,10 @@ class NoRule(Dense):
     distance_threshold = None  # pyright: ignore[reportAssignmentType]
 
 
+class TrueThreshold(Dense):
+    distance_threshold = True
+
+
 class Still(Dense):
     """Rewards that are distances, and a point that no action moves."""
 
@@ -247,7 +251,7 @@ class Reading(NumpyPointMass):
 
 VARIANTS = [
     *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, Unwritten),
-    *(ReadingInfo, InPlace, MovingGoal),
+    *(ReadingInfo, TrueThreshold, InPlace, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
     *(Failing, Closing, Hanging, Stubborn, Reading),
 ]
