@@ -6,7 +6,6 @@ arguments.py     what either may be made with; resets.py, actions.py what resets
 spaces.py        spaces of observations and actions; from states to observations
 goals.py         rewards and ends of episodes, from goals
 programs.py      the compiled functions that both call, once per process
-forking.py       says so where a fork would make JAX hang
 frames.py        rendered frames
 mujoco_copy.py   the simulation as MuJoCo's own model and data
 """
