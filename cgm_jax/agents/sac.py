@@ -210,6 +210,11 @@ class SAC(Agent[SACState]):
         )
         return state, {**critic_info, **info}
 
+    def idle(self) -> frozenset[str]:
+        """With a temperature that stays as it is, the entropy that it would aim at."""
+        learns = self.temperature_learning_rate
+        return frozenset() if learns else frozenset({"target_entropy"})
+
     def update_critic(self, state: SACState, batch: NoisyMinibatch) -> tuple[SACState, Info]:
         """One gradient step on the critics alone; targets follow.
 

@@ -63,5 +63,7 @@ class TD3(DDPG):
         return super().train(state, NoisyMinibatch(**vars(batches), next_noise=next_noise), key)
 
     def idle(self) -> frozenset[str]:
-        """Without noise on target actions, its limit."""
-        return frozenset() if self.target_noise else frozenset({"target_noise_clip"})
+        """Without noise on target actions, its limit; and where that is 0, how much there is."""
+        if not self.target_noise:
+            return frozenset({"target_noise_clip"})
+        return frozenset() if self.target_noise_clip else frozenset({"target_noise"})

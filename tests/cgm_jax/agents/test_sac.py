@@ -152,6 +152,29 @@ def test_the_temperature_falls_where_there_is_too_much_entropy_and_rises_where_t
     assert change == pytest.approx(0.01 * sign, rel=1e-3)  # Adam's first step
 
 
+def test_what_entropy_is_aimed_at_matters_only_where_the_temperature_learns() -> None:
+    state, _ = example()
+    batches = example_batch(4, seed=1)
+
+    @jax.jit
+    def trained(agent: SAC) -> tuple[object, ...]:
+        after, _ = agent.train(state, batches, jax.random.key(0))
+        return after.actor, after.critic, after.log_temperature
+
+    lazy, eager = (
+        dataclasses.replace(AGENT, temperature_learning_rate=rate) for rate in (0.0, 0.01)
+    )
+    results = [
+        jax.tree.map(np.asarray, trained(dataclasses.replace(agent, target_entropy=target)))
+        for agent in (lazy, eager)
+        for target in (-3.0, 3.0)
+    ]
+    assert_equal(results[0], results[1])
+    assert results[2][2] < results[3][2]
+    assert lazy.idle() == {"target_entropy"}
+    assert eager.idle() == frozenset()
+
+
 def test_critics_learn_at_every_update_and_the_actor_at_every_third() -> None:
     agent = dataclasses.replace(AGENT, actor_update_every=3)
     state, batch = example()

@@ -90,4 +90,8 @@ def test_noise_differs_between_keys_and_without_it_keys_do_not_matter() -> None:
     assert (critic(AGENT, 0) != critic(AGENT, 1)).any()
     np.testing.assert_array_equal(critic(quiet, 0), critic(quiet, 1))
     assert quiet.idle() == {"target_noise_clip"}
+    cut = dataclasses.replace(AGENT, target_noise_clip=0.0)
+    louder = dataclasses.replace(cut, target_noise=0.9)
+    np.testing.assert_array_equal(critic(cut, 0), critic(louder, 0))
+    assert cut.idle() == {"target_noise"}
     assert not AGENT.idle()

@@ -42,6 +42,20 @@ def test_runs_that_differ_only_in_what_has_no_effect_are_trained_once() -> None:
     ]
     no_her = names({"her": [False], "her_k": [4.0, 6.0], "kappa": [32.0]})
     assert no_her == ["reach_ddpg_cgm-cg0.1-kappa32_seed0"]
+    one = {"c_g": [0.1], "kappa": [32.0]}
+    no_noise = {"agent": ["td3"], "target_noise_clip": [0.0, 0.5], "target_noise": [0.1, 0.2]}
+    assert names({**one, **no_noise}) == [
+        f"reach_td3-her_cgm-cg0.1-kappa32_{noise}_seed0"
+        for noise in (
+            "targetnoiseclip0",
+            "targetnoise0.1_targetnoiseclip0.5",
+            "targetnoise0.2_targetnoiseclip0.5",
+        )
+    ]
+    same_temperature = {"temperature_learning_rate": [0.0], "target_entropy": [-1.0, -2.0]}
+    assert names({**one, "agent": ["sac"], **same_temperature}) == [
+        "reach_sac-her_cgm-cg0.1-kappa32_seed0"
+    ]
 
 
 def test_values_that_differ_in_the_eighth_digit_are_two_runs() -> None:
