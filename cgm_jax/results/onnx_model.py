@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cgm_jax.storage.policies import layer_count
+
 if TYPE_CHECKING:
     import onnx
 
@@ -37,7 +39,7 @@ def onnx_model(arrays: Mapping[str, np.ndarray]) -> "onnx.ModelProto":
         helper.make_node(kind, inputs, [output], **attributes)
         for kind, inputs, output, attributes in _nodes(arrays)
     ]
-    layers = _layers(arrays)
+    layers = layer_count(arrays)
     sizes = {
         "observation": arrays["observation_mean"].size,
         "goal": arrays["goal_mean"].size,
@@ -78,12 +80,8 @@ def _nodes(
         yield "Div", [f"{kind}_centred", f"{kind}_std"], f"{kind}_scaled", {}
     yield "Concat", ["observation_scaled", "goal_scaled"], "scaled", {"axis": 1}
     yield "Clip", ["scaled", "minus_normalised_limit", "normalised_limit"], "inputs", {}
-    value, layers = "inputs", _layers(arrays)
+    value, layers = "inputs", layer_count(arrays)
     for i in range(layers):
         yield "Gemm", [value, f"layer_{i}_kernel", f"layer_{i}_bias"], f"layer_{i}", {}
         value = f"layer_{i}_active" if i < layers - 1 else "action"
         yield "Relu" if i < layers - 1 else "Tanh", [f"layer_{i}"], value, {}
-
-
-def _layers(arrays: Mapping[str, np.ndarray]) -> int:
-    return sum(name.endswith("_kernel") for name in arrays)

@@ -89,7 +89,7 @@ def load_policy(
         sizes = {
             "observations": (used["observation_mean"].size, observation_size),
             "goals": (used["goal_mean"].size, goal_size),
-            "actions": (used[f"layer_{_layers(used) - 1}_bias"].size, action_size),
+            "actions": (used[f"layer_{layer_count(used) - 1}_bias"].size, action_size),
         }
         for kind, (size, wanted) in sizes.items():
             if wanted not in (None, size):
@@ -99,7 +99,8 @@ def load_policy(
     return used
 
 
-def _layers(arrays: Mapping[str, Any]) -> int:
+def layer_count(arrays: Mapping[str, Any]) -> int:
+    """How many layers the actor of a policy file's arrays has."""
     return sum(name.endswith("_kernel") for name in arrays)
 
 
@@ -110,7 +111,9 @@ def _numbers(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         shown = version.item() if version.size == 1 else "of several numbers"
         raise ValueError(f"a policy file of a newer format, {shown!r:.40}")
     needed = {
-        f"layer_{i}_{part}" for i in range(max(1, _layers(arrays))) for part in ("kernel", "bias")
+        f"layer_{i}_{part}"
+        for i in range(max(1, layer_count(arrays)))
+        for part in ("kernel", "bias")
     }
     needed |= {f"{kind}_{part}" for kind in ("observation", "goal") for part in ("mean", "std")}
     needed |= {"normalised_limit"}
@@ -142,7 +145,7 @@ def _check_layers(arrays: Mapping[str, np.ndarray]) -> None:
     shown = (arrays["goal_mean"].size, arrays["layer_0_bias"].size)
     if "mask_weights" in arrays and arrays["mask_weights"].shape != shown:
         raise ValueError(f"not a policy file, mask_weights do not have shape {shown}")
-    for i in range(_layers(arrays)):
+    for i in range(layer_count(arrays)):
         kernel, bias = arrays[f"layer_{i}_kernel"], arrays[f"layer_{i}_bias"]
         if bias.ndim != 1 or not bias.size or kernel.shape != (width, bias.size):
             raise ValueError(f"not a policy file, layer {i} has shape {kernel.shape}")
@@ -163,7 +166,7 @@ def act(
         goal: [..., n], the desired goal, masked if a mask is given.
         mask: of all the goals, [n]; None for the full goal.
     """
-    layers = _layers(arrays)
+    layers = layer_count(arrays)
     parameters = {
         f"layer_{i}": {
             part: jnp.asarray(arrays[f"layer_{i}_{part}"]) for part in ("kernel", "bias")
