@@ -12,7 +12,7 @@ from cgm_jax.envs.observations import GRIP_POSITION, OBJECT_POSITION, fetch_obse
 from cgm_jax.envs.physics.protocol import Physics, PhysicsState
 from cgm_jax.envs.quiet_import import Env, State
 from cgm_jax.envs.scene import Scene
-from cgm_jax.envs.tasks import Task
+from cgm_jax.envs.tasks import STEPS_PER_EPISODE, Task
 
 OFFSET_RANGE = 0.15
 """Object and goal lie within this of the initial grip position, in x and in y (m)."""
@@ -53,7 +53,7 @@ class FetchEnvironment(Env):
     physics: Physics
     air_probability: float
     distance_threshold: float = 0.05
-    episode_length: int = 50
+    episode_length: int = STEPS_PER_EPISODE
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.air_probability <= 1.0:

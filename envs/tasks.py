@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+STEPS_PER_EPISODE = 50
+"""Control steps of 0.04 s, in all tasks."""
+
 
 @dataclass(frozen=True)
 class Task:

@@ -2,7 +2,7 @@
 
 import gymnasium
 
-STEPS_PER_EPISODE = 50
+from cgm_jax.envs.tasks import STEPS_PER_EPISODE
 
 FETCH = {
     "FetchReach": {"task": "reach"},
