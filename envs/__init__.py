@@ -2,7 +2,7 @@
 
 names.py             `make("push", engine="auto")`: names to environments
 goal_environment.py  the protocol that `cgm_jax` trains on; implement it to bring your own
-goals.py             masked goals, and when they are achieved
+goals.py             masked goals, and when they are achieved; numpy_goals.py the same without JAX
 fetch.py             the Fetch environment: reset, reset_to, step
 tasks.py             what distinguishes reach, push and pick_and_place
 mocap_controller.py  from an action to the pose that drags the arm (inverse kinematics)

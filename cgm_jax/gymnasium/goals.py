@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
+from cgm_jax.envs.numpy_goals import difference, is_achieved, sparse_reward
 from cgm_jax.gymnasium.mask_sampler import MAX_GOAL_SIZE
 
 Observation = dict[str, Any]
@@ -46,15 +47,15 @@ class AchievementRule:
         """
         if self.distance == "per_dimension":
             return self.subgoals_achieved(achieved_goal, goal).all(axis=-1)
-        return np.linalg.norm(_difference(achieved_goal, goal), axis=-1) < self.threshold
+        return is_achieved(achieved_goal, goal, self.threshold)
 
     def subgoals_achieved(self, achieved_goal: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Whether each dimension of goals [..., n] is achieved, [..., n] bool."""
-        return np.abs(_difference(achieved_goal, goal)) < self.threshold
+        return np.abs(difference(achieved_goal, goal)) < self.threshold
 
     def reward(self, achieved_goal: np.ndarray, goal: np.ndarray) -> Any:
         """0 where goals [..., n] are achieved, -1 elsewhere; [...] float64."""
-        return np.where(self.is_achieved(achieved_goal, goal), 0.0, -1.0)[()]
+        return sparse_reward(self.is_achieved(achieved_goal, goal))
 
 
 def make_rule(
@@ -153,7 +154,3 @@ def _goal_box(entries: Mapping[str, spaces.Space[Any]], name: str) -> spaces.Box
             f"[1, {MAX_GOAL_SIZE}]"
         )
     return space
-
-
-def _difference(achieved_goal: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    return np.asarray(achieved_goal, np.float64) - np.asarray(goal, np.float64)

@@ -20,7 +20,7 @@ from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.gymnasium.actions import checked_action
 from cgm_jax.envs.gymnasium.arguments import METADATA, check_render_mode
 from cgm_jax.envs.gymnasium.frames import Frames, warn_without_render_mode
-from cgm_jax.envs.gymnasium.goals import is_achieved, physics_broke, sparse_reward
+from cgm_jax.envs.gymnasium.goals import physics_broke, reward_of
 from cgm_jax.envs.gymnasium.mujoco_copy import MuJoCoCopy
 from cgm_jax.envs.gymnasium.programs import draw_seed, fetch_programs
 from cgm_jax.envs.gymnasium.resets import check_options
@@ -30,6 +30,7 @@ from cgm_jax.envs.gymnasium.spaces import (
     observation_of,
     observation_space,
 )
+from cgm_jax.envs.numpy_goals import is_achieved
 
 
 class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
@@ -138,7 +139,7 @@ class FetchGymnasium(gymnasium.Env[Observation, np.ndarray]):
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any
     ) -> np.ndarray | np.float64:
         """Reward of goals [3], or of a batch of them [..., 3]; `info` has no part in it."""
-        return sparse_reward(achieved_goal, desired_goal, self.fetch.distance_threshold)
+        return reward_of(achieved_goal, desired_goal, self.fetch.distance_threshold)
 
     def compute_terminated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any

@@ -10,9 +10,9 @@ import gymnasium
 import numpy as np
 from brax.envs.base import State
 
-from cgm_jax.envs.gymnasium.goals import is_achieved
 from cgm_jax.envs.gymnasium.programs import FetchPrograms
 from cgm_jax.envs.gymnasium.spaces import observation_of
+from cgm_jax.envs.numpy_goals import is_achieved
 from cgm_jax.envs.rendering import Renderer, check_size
 
 

@@ -1,40 +1,29 @@
-"""Rewards and ends of episodes, from achieved and desired goals in metres.
-
-All take one pair of goals [3] or a batch of them [..., 3], as HER's relabelling needs it.
-"""
+"""Rewards and ends of episodes, from achieved and desired goals in metres."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from cgm_jax.envs.numpy_goals import is_achieved, sparse_reward
+
 GOAL_SIZE = 3
 
 
-def is_achieved(
-    achieved_goal: np.ndarray, desired_goal: np.ndarray, threshold: float
-) -> np.ndarray | np.bool_:
-    """Whether goals [..., 3] are achieved, [...].
-
-    Raises:
-        ValueError: the goals are not [..., 3], or do not fit each other.
-    """
-    achieved, desired = np.asarray(achieved_goal, float), np.asarray(desired_goal, float)
-    for name, goal in (("achieved_goal", achieved), ("desired_goal", desired)):
-        if goal.shape[-1:] != (GOAL_SIZE,):
-            raise ValueError(f"{name}: shape {goal.shape} is not (..., {GOAL_SIZE})")
-    return np.linalg.norm(achieved - desired, axis=-1) < threshold
-
-
-def sparse_reward(
+def reward_of(
     achieved_goal: np.ndarray, desired_goal: np.ndarray, threshold: float
 ) -> np.ndarray | np.float64:
     """0 where goals [..., 3] are achieved, -1 elsewhere, [...] float64.
 
+    One pair of goals [3] or a batch of them, as HER's relabelling needs it.
+
     Raises:
-        ValueError: as `is_achieved`.
+        ValueError: the goals are not [..., 3], or do not fit each other.
     """
-    return np.where(is_achieved(achieved_goal, desired_goal, threshold), 0.0, -1.0)[()]
+    for name, goal in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal)):
+        if np.shape(goal)[-1:] != (GOAL_SIZE,):
+            raise ValueError(f"{name}: shape {np.shape(goal)} is not (..., {GOAL_SIZE})")
+    return sparse_reward(is_achieved(achieved_goal, desired_goal, threshold))
 
 
 def physics_broke(info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None) -> Any:

@@ -14,7 +14,7 @@ from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.gymnasium.actions import checked_action
 from cgm_jax.envs.gymnasium.arguments import METADATA, check_render_mode, row_count, step_limit
 from cgm_jax.envs.gymnasium.frames import Frames, warn_without_render_mode
-from cgm_jax.envs.gymnasium.goals import is_achieved, sparse_reward
+from cgm_jax.envs.gymnasium.goals import reward_of
 from cgm_jax.envs.gymnasium.programs import FetchPrograms, draw_seed, fetch_programs
 from cgm_jax.envs.gymnasium.resets import row_seeds, rows_to_reset
 from cgm_jax.envs.gymnasium.spaces import (
@@ -23,6 +23,7 @@ from cgm_jax.envs.gymnasium.spaces import (
     observation_of,
     observation_space,
 )
+from cgm_jax.envs.numpy_goals import is_achieved
 
 VECTOR_METADATA = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
@@ -175,7 +176,7 @@ class FetchVector(VectorEnv[Observation, np.ndarray, np.ndarray]):
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any
     ) -> np.ndarray | np.float64:
         """Reward of goals [3], or of a batch of them [..., 3]; `info` has no part in it."""
-        return sparse_reward(achieved_goal, desired_goal, self.fetch.distance_threshold)
+        return reward_of(achieved_goal, desired_goal, self.fetch.distance_threshold)
 
     def render(self) -> tuple[np.ndarray, ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """A frame [height, width, 3] uint8 of each row.

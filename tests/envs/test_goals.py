@@ -1,6 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from cgm_jax.envs import numpy_goals
 from cgm_jax.envs.goals import apply_mask, is_achieved, masked_distance
 
 
@@ -23,3 +24,14 @@ def test_a_goal_is_achieved_below_its_threshold() -> None:
     masks = jnp.array([[1.0, 1.0], [1.0, 1.0], [0.0, 1.0]])
     reached = is_achieved(goal, masks, achieved, jnp.array([3.0, 3.1, 0.1]))
     np.testing.assert_array_equal(reached, [False, True, True])
+
+
+def test_without_jax_goals_are_achieved_as_with_it() -> None:
+    goal, achieved = np.array([3.0, 4.0, 0.0]), np.zeros((2, 3))
+    thresholds = np.array([5.0, 5.1])
+    reached = numpy_goals.is_achieved(achieved, goal, thresholds)
+    np.testing.assert_array_equal(reached, [False, True])
+    with_jax = is_achieved(jnp.array([goal] * 2), jnp.ones((2, 3)), jnp.array(achieved), thresholds)
+    np.testing.assert_array_equal(reached, with_jax)
+    np.testing.assert_array_equal(numpy_goals.sparse_reward(reached), [-1.0, 0.0])
+    assert isinstance(numpy_goals.sparse_reward(np.bool_(True)), np.float64)
