@@ -17,7 +17,10 @@ is worth. Where episodes end, any share of it may be missing, so that only the u
 The temperature starts at 0.1: the paper's 1 would have values of entropy outweigh rewards for the
 first thousand updates.
 
-    python -m cgm_jax.train --agent sac --target-entropy -1
+Presets come before the defaults below, also where their values were chosen for DDPG: with `cpu` the
+actor moves at every second update. At every one it does with
+
+    python -m cgm_jax.train --agent sac --actor-update-every 1
 """
 
 import math

@@ -9,7 +9,10 @@ move at every second update (the paper's d). Beyond the paper, as in DDPG here: 
 to what returns can be, actions have a penalty, and an update of both takes each gradient from the
 weights before it, where the paper's actor follows critics that have just moved.
 
-    python -m cgm_jax.train --agent td3 --target-noise 0.2 --target-noise-clip 0.5
+Presets come before the defaults below, also where their values were chosen for DDPG: with `cpu` and
+`quick` targets move at every update. Delayed as in the paper it is with
+
+    python -m cgm_jax.train --agent td3 --actor-update-every 2 --target-update-every 2
 """
 
 import jax

@@ -270,7 +270,7 @@ def _check_words(words: Sequence[str], *, from_file: bool) -> None:
         option = word.partition("=")[0].replace("_", "-")
         if option.startswith("--tyro-") or (from_file and asks_for_help([word])):
             raise SettingError(f"{word[:60]!r} is no option here")
-        if option.startswith("--") and option in given:
+        if option.startswith("--") and option != "--" and option in given:
             raise SettingError(f"{option[2:62]}: is given twice; its values follow each other")
         if word == "None" or (option.startswith("--") and word.endswith("=None")):
             raise SettingError("None is no value; leave the option out")

@@ -16,7 +16,7 @@ from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import RenderingError, check_rendering
 from cgm_jax.envs.viewer import check_display
-from cgm_jax.loop.environment import is_hosted, make_environment
+from cgm_jax.loop.environment import compiler_options, is_hosted, make_environment
 from cgm_jax.loop.exploration import Exploration, draw_exploration
 from cgm_jax.loop.judging import succeeds
 from cgm_jax.loop.own_environment import OwnEnvironment
@@ -271,7 +271,8 @@ def _play_all(
     def play_side_by_side(policies: Any, chunk: Chunk, recorded: int) -> Result:
         return jax.vmap(lambda policy: play(policy, chunk, recorded))(policies)
 
-    program = jax.jit(play_side_by_side, static_argnums=2)
+    options = compiler_options(env)
+    program = jax.jit(play_side_by_side, static_argnums=2, compiler_options=options)
     size = min(plan.episodes, CHUNK_EPISODES)
     width = 1 if is_hosted(env) else min(count, max(1, CHUNK_ROWS // size))
     outcomes: list[Outcome] = []

@@ -174,7 +174,7 @@ def test_a_grid_that_does_not_fit_is_split_and_says_so(monkeypatch: pytest.Monke
     monkeypatch.setattr(planning, "runs_that_fit", lambda *_: 2)
     jobs, (note,) = planning.plan_jobs([group], jax.devices()[:1])
     assert [len(job.group.runs) for job in jobs] == [2, 2, 1]
-    assert note.startswith("reach: 5 runs, 2 at a time, take ")
+    assert note.startswith("reach: memory for 5 runs, 2 at a time: ")
     assert len({id(job.programs) for job in jobs}) == 1
     # A plan that a directory has recorded stays, whatever the memory is today.
     monkeypatch.setattr(planning, "runs_that_fit", lambda *_: 5)
@@ -191,7 +191,7 @@ def test_physics_that_xla_compiles_are_said_not_to_be_counted(
     name = f"{ROOT}/tests/examples/point_mass.py:PointMass"
     groups = build_groups("smoke", {"env": [name], "kappa": [4.0]})
     (_, (note,)) = planning.plan_jobs(groups, jax.devices())
-    assert note.endswith("of memory" + (NOT_COUNTED if large else ""))
+    assert note.endswith(f"iB{NOT_COUNTED if large else ''}")
     assert NOT_COUNTED.endswith("is not counted")
 
 

@@ -126,7 +126,7 @@ def output_of_progress(number: int, on_terminal: bool) -> tuple[int, str]:
         stdout=subprocess.PIPE,
         stderr=writing,
         cwd=ROOT,
-        env={**os.environ, "TERM": "xterm", "FORCE_COLOR": "1", "COLUMNS": "80"},
+        env={**os.environ, "TERM": "xterm", "FORCE_COLOR": "1", "COLUMNS": "50"},
     )
     os.close(writing)
     assert process.stdout is not None
@@ -155,6 +155,6 @@ def test_the_cursor_is_never_hidden_and_lines_do_not_wrap() -> None:
     assert code == 75
     first, last = text.splitlines()
     assert first.startswith("epoch 1: 1,000,000,000 environment steps, success 50 %, ")
-    assert len(first) > 80
+    assert len(first) > 50
     assert last == "stopped at once"
     assert "\x1b" not in text

@@ -10,7 +10,8 @@ from experiments.learning.plans import (
     planned_settings,
     read_plans,
 )
-from experiments.learning.records import recorded_settings, same_runs
+from experiments.learning.records import RecordedRun, recorded_settings, same_runs
+from experiments.learning.tables import runs_by_setting
 from experiments.report import README, SCREENS, SCREENS_OF_QUESTIONS
 from experiments.run import FIGURES
 
@@ -77,10 +78,15 @@ def test_every_question_has_a_screen(name: str) -> None:
     assert f"## {PLANS.questions[name].text}\n" in text
 
 
-def test_sweeps_of_a_question_hold_no_run_twice() -> None:
-    for question in PLANS.questions.values():
-        sweeps = [PLANS.sweeps[name] for name in question.sweeps]
-        assert not [one for i, one in enumerate(sweeps) if one in sweeps[:i]]
+@pytest.mark.parametrize("name", PLANS.questions)
+def test_runs_of_a_question_can_be_told_apart(name: str) -> None:
+    runs = [
+        RecordedRun(sweep, f"run {number}", settings, [], alone=True)
+        for sweep in PLANS.questions[name].sweeps
+        for number, settings in enumerate(planned_settings(PLANS.sweeps[sweep]))
+    ]
+    seeds = runs_by_setting(runs)  # refuses a run that is planned twice
+    assert sum(map(len, seeds.values())) == len(runs)
 
 
 def test_every_sweep_answers_a_question() -> None:
