@@ -13,7 +13,7 @@ their settings agree.
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, field
 from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
@@ -62,6 +62,15 @@ def shared(kind: type, name: str, default: Any = MISSING) -> Any:
     return field(default=item.default if default is MISSING else default, metadata=item.metadata)
 
 
+def nested(make: Callable[[], Any]) -> Any:
+    """A field that holds an instance of another class of settings, with settings of its own.
+
+    Args:
+        make: an instance, for one that is not given.
+    """
+    return field(default_factory=make, metadata={"nested": True})
+
+
 def _metadata(traced: bool, help: str, low: float, high: float) -> dict[str, Any]:
     return {"traced": traced, "help": help, "low": low, "high": high}
 
@@ -71,8 +80,18 @@ def settings(kind: Class) -> Class:
     """Make a class of settings: a frozen dataclass, and a pytree of its traced settings.
 
     Construction checks nothing, since JAX makes instances of tracers: call `check`.
+
+    Raises:
+        TypeError: a field is declared by none of the functions above, so that it would be no
+            option, and neither recorded nor swept.
     """
     kind = dataclass(frozen=True)(kind)
+    for item in dataclasses.fields(kind):
+        if not item.metadata.keys() & {"help", "nested"}:
+            raise TypeError(
+                f"{item.name} of {kind.__name__} is not a setting: declare it by "
+                "traced(DEFAULT, HELP) or static(DEFAULT, HELP), or as a ClassVar"
+            )
     static_names = [item.name for item in declared(kind) if not item.metadata["traced"]]
     names = [item.name for item in dataclasses.fields(kind) if item.name not in static_names]
     _register(kind, names, static_names)
@@ -131,9 +150,8 @@ def check_concrete(instance: Any) -> None:
 def parts(instance: Any) -> Iterator[Any]:
     """Instances of settings that are fields of another."""
     for item in dataclasses.fields(instance):
-        value = getattr(instance, item.name)
-        if "help" not in item.metadata and dataclasses.is_dataclass(value):
-            yield value
+        if "nested" in item.metadata:
+            yield getattr(instance, item.name)
 
 
 def check_value(item: "Field[Any]", value: Any) -> None:
@@ -189,6 +207,6 @@ def _typed(instance: Any) -> Any:
         value = getattr(instance, item.name)
         if item.metadata.get("traced"):
             values[item.name] = np.asarray(value, DTYPES[type(item.default)])
-        elif "help" not in item.metadata and dataclasses.is_dataclass(value):
+        elif "nested" in item.metadata:
             values[item.name] = _typed(value)
     return dataclasses.replace(instance, **values)

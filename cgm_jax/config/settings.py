@@ -6,11 +6,11 @@ Defaults are the paper's; see presets.py for others.
 """
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from cgm_jax.config.components import DEFAULTS, component
-from cgm_jax.config.fields import check, settings, static, traced
+from cgm_jax.config.fields import check, nested, settings, static, traced
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Settings:
 
 
 def _default(kind: str) -> Any:
-    return field(default_factory=lambda: component(kind, DEFAULTS[kind])())
+    return nested(lambda: component(kind, DEFAULTS[kind])())
 
 
 @settings
