@@ -2,7 +2,8 @@
 
 An agent is a class of settings (see `config/fields.py`) with pure functions over a state of its
 own, any flax struct of arrays. All are written for one run; the loop vmaps them over runs, the
-settings included. A new agent is one new file with one class derived from `Agent`.
+settings included. A new agent is one new file with one class derived from `Agent`. It must define
+`critics`, `init`, `act`, `train` and `actor`, and `value` if it has critics.
 
 The state keeps its structure, shapes and types. A run whose state is not finite, or holds a number
 beyond 1e9, is frozen and named by the field; fields whose names end in "optimiser" may hold more.
@@ -11,6 +12,7 @@ Rewards are -1 or 0 and no state is terminal, so that returns lie in [-1 / (1 - 
 an environment has rewards of its own (`Minibatch.reward_range`) or ends episodes (`continues`).
 """
 
+from abc import abstractmethod
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax
@@ -65,6 +67,7 @@ class Agent(Protocol[State]):
     critics: int
     """How many estimates of the return `value` gives: a setting, or a number of the class."""
 
+    @abstractmethod
     def init(self, key: jax.Array, sizes: Sizes) -> State:
         """Fresh networks.
 
@@ -74,6 +77,7 @@ class Agent(Protocol[State]):
         """
         ...
 
+    @abstractmethod
     def act(
         self, state: State, inputs: Float[Array, "*batch inputs"], key: jax.Array | None = None
     ) -> Float[Array, "*batch action"]:
@@ -92,9 +96,11 @@ class Agent(Protocol[State]):
         inputs: Float[Array, "*batch inputs"],
         action: Float[Array, "*batch action"],
     ) -> Float[Array, " critics *batch"]:
-        """What each critic expects of an action, [critics, ...]."""
-        ...
+        """What each critic expects of an action, [critics, ...]; here of none."""
+        del state, action
+        return jnp.zeros((0, *inputs.shape[:-1]))
 
+    @abstractmethod
     def train(self, state: State, batches: Minibatch, key: jax.Array) -> tuple[State, Info]:
         """Learn from the minibatches of a cycle, or of a part of it, [updates, batch, ...].
 
@@ -104,6 +110,7 @@ class Agent(Protocol[State]):
         """
         ...
 
+    @abstractmethod
     def actor(self, state: State) -> Parameters:
         """The deterministic policy that is evaluated and exported, instead of `act`.
 

@@ -6,6 +6,7 @@ A tracker is found in the same way, but has no settings, and changes no result.
 """
 
 import dataclasses
+import difflib
 import functools
 import importlib
 import inspect
@@ -33,6 +34,9 @@ PLACES = {**ROOMS, TRACK: "cgm_jax.results.trackers"}
 NAMES = ("env", *ROOMS)
 """Settings whose value is a name, of ours or of something of the user's own."""
 
+CLOSE = 0.75
+"""Names that are as like as this, by `difflib`, may be meant to be the same."""
+
 
 @functools.cache
 def builtin(kind: str) -> dict[str, type]:
@@ -52,7 +56,8 @@ def component(kind: str, name: str) -> type:
     """The class that `--KIND name` stands for.
 
     Raises:
-        SettingError: there is none, or a file's class does not declare settings.
+        SettingError: there is none, or a file's class does not declare settings, or lacks what its
+            protocol leaves to it.
     """
     if not isinstance(name, str):
         raise SettingError(f"{kind}: {name!r} is not a name")
@@ -67,7 +72,43 @@ def component(kind: str, name: str) -> type:
     protocol = _protocol(kind)
     if not inspect.isclass(found) or protocol not in found.__mro__:
         raise SettingError(f"{kind}: {name} is not derived from {protocol.__name__}")
+    if kind in ROOMS and (missing := _missing(found, protocol)):
+        place = f"{protocol.__module__}.{protocol.__name__}"
+        raise SettingError(f"{kind}: {name} lacks {', '.join(missing)}; see {place}")
     return found
+
+
+def _missing(found: type, protocol: type) -> list[str]:
+    """Names that a protocol leaves to its classes, and that a class does not define."""
+    values = [name for name in protocol.__annotations__ if not hasattr(found, name)]
+    return [*values, *sorted(found.__abstractmethods__)]  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def check_names(kind: str, name: str, found: type) -> None:
+    """Check that a class does not misspell what it means to override, which would have no effect.
+
+    Args:
+        kind: of the component.
+        name: of the class, for messages.
+        found: the class.
+
+    Raises:
+        SettingError: it has a public name that is nearly one of the protocol's, and leaves that
+            one as it is.
+    """
+    protocol = _protocol(kind)
+    bases = [base for base in found.__mro__ if base not in protocol.__mro__]
+    own = {each for base in bases for each in vars(base) if not each.startswith("_")}
+    offered = [each for each in vars(protocol) if not each.startswith("_")]
+    inherited = [each for each in offered if each not in own]
+    for each in sorted(own - {*offered, *(item.name for item in declared(found))}):
+        is_function = callable(getattr(found, each))
+        alike = [one for one in inherited if callable(getattr(protocol, one)) == is_function]
+        for meant in difflib.get_close_matches(each, alike, 1, CLOSE):
+            raise SettingError(
+                f"{kind}: {name} has {each}, which training does not know; write {meant}, or "
+                f"_{each} for something of your own"
+            )
 
 
 def _protocol(kind: str) -> type:

@@ -9,9 +9,10 @@ included, so that a sweep varies every traced setting in one program. In order o
     state = curriculum.after_evaluation(state, outcomes, examined)  # at the end of an epoch
 
 A new curriculum is one new file with one class derived from `Curriculum`; what it does not define
-is inherited.
+is inherited. It must define `sample`.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -116,6 +117,7 @@ class Curriculum(Protocol[State]):
         del sizes
         return ()  # pyright: ignore[reportReturnType]
 
+    @abstractmethod
     def sample(self, state: State, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """What the next E training episodes are to achieve.
 

@@ -11,8 +11,9 @@ setup.py        the environment and static settings, and the state before any tr
 state.py        everything that training carries from step to step
 inputs.py       what the networks see; normaliser.py its running mean and standard deviation
 environment.py  the environment that a setting names
-own_*.py        what is the user's own: own_checks.py and own_components.py check it before anything
-                is made, own_environment.py is what training makes of an environment, with what it
+own_*.py        what is the user's own: own_checks.py checks an environment before anything is made,
+                own_components.py all else, with what it returns (own_returns.py);
+                own_environment.py is what training makes of an environment, with what it
                 declares (own_declarations.py), its states in lasting form (own_states.py)
 judging.py      an environment's own success, reward and ends of episodes
 devices.py      the axis of runs over devices; in_turn.py runs of one device, one after another

@@ -67,7 +67,7 @@ def plan(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Plan:
     first = reset(env, reset_key, settings.environments)
     curriculum: Curriculum = hyper.curriculum
     goals = curriculum.sample(
-        state.curriculum, goal_key, drawn_goals(env, first), _view(setup, state, hyper, first)
+        state.curriculum, goal_key, drawn_goals(env, first), view_of(setup, state, hyper, first)
     )
     if goals.start is not None:
         first = jax.vmap(env.restart)(goals.start)  # pyright: ignore[reportAttributeAccessIssue]
@@ -140,7 +140,7 @@ def training_policy(
     return policy
 
 
-def _view(setup: Setup, state: TrainingState, hyper: Hyperparameters, first: object) -> View:
+def view_of(setup: Setup, state: TrainingState, hyper: Hyperparameters, first: object) -> View:
     """What the curriculum may look at."""
     agent = hyper.agent
 

@@ -8,13 +8,15 @@ from typing import Any
 
 import jax
 
-from cgm_jax.config.components import ROOMS, builtin_fields
+from cgm_jax.config.components import ROOMS, builtin_fields, check_names
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Run
 from cgm_jax.config.named import is_own
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.config.user_code import user_code
 from cgm_jax.loop.cycle import cycle
+from cgm_jax.loop.own_returns import check_agent, check_curriculum, check_relabelling
+from cgm_jax.loop.setup import init_state
 from cgm_jax.loop.training import Trainer
 
 RESERVED = {
@@ -26,19 +28,35 @@ RESERVED = {
 """Names in metrics.jsonl that are not for a curriculum's report, nor for what an agent logs."""
 
 
+CHECKS = {
+    "relabelling": check_relabelling,
+    "agent": check_agent,
+    "curriculum": check_curriculum,
+}
+"""Each relies on those before it."""
+
+
 def check_components(trainer: Trainer, run: Run) -> None:
     """Check what a run's components do with the shapes that they will get.
 
     Those that come with this package are checked by tests.
 
     Raises:
-        SettingError: one fails, returns something else than its protocol says, or reports under a
-            name that is taken; one line says what.
+        SettingError: one fails, misspells what it means to override, returns something else than
+            its protocol says, or reports under a name that is taken; one line says what.
     """
-    own = [(kind, run.values[kind]) for kind in ROOMS if is_own(run.values[kind])]
+    own = {kind: run.values[kind] for kind in ROOMS if is_own(run.values[kind])}
     if not own:
         return
-    kind, name = own[0] if len(own) == 1 else (own[0][0], " with ".join(name for _, name in own))
+    for part in own:
+        check_names(part, own[part], type(getattr(run.hyper, part)))
+    kind, name = next(iter(own)), " with ".join(own.values())
+    with user_code(kind, name):
+        begun = jax.eval_shape(partial(init_state, trainer.setup), run.hyper)
+    for part, check in CHECKS.items():
+        if part in own:
+            with user_code(part, own[part]):
+                check(f"{part}: {own[part]}", trainer.setup, begun, run.hyper)
     with user_code(kind, name):
         state = jax.eval_shape(trainer.init, run.hyper)
         after = jax.eval_shape(partial(cycle, trainer.setup), state, run.hyper)

@@ -1,9 +1,10 @@
 """What a way to relabel offers to the loop: minibatches of transitions from the replay ring.
 
 It is a class of settings (see `config/fields.py`) with one pure function of one run, which the loop
-vmaps over runs, the settings included.
+vmaps over runs, the settings included: `sample`, which it must define.
 """
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
@@ -59,6 +60,7 @@ class Relabelling(Protocol):
 
     needs_stages: ClassVar[bool] = False
 
+    @abstractmethod
     def sample(
         self,
         key: jax.Array,

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from cgm_jax.config.components import TRACK, component
+from cgm_jax.config.components import TRACK, check_names, component
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Run
 from cgm_jax.config.named import absolute, is_own, label, name_now
@@ -38,11 +38,13 @@ def find_tracker(name: str) -> type[Tracker]:
     """The class that `--track NAME` stands for; the user names it now, so one of their own may run.
 
     Raises:
-        SettingError: there is none, or the package that it needs is not installed.
+        SettingError: there is none, it misspells what it means to override, or the package that it
+            needs is not installed.
     """
     if is_own(name):
         name_now(name)
     found = component(TRACK, name)
+    check_names(TRACK, name, found)
     if found.PACKAGE and find_spec(found.PACKAGE) is None:
         raise SettingError(
             f"track: {name} needs the package {found.PACKAGE}, which is not installed: "

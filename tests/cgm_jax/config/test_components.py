@@ -1,11 +1,18 @@
 import itertools
+import re
 from collections import defaultdict
+from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
+import pytest
 
-from cgm_jax.config.components import ROOMS, builtin, builtin_fields
-from cgm_jax.config.fields import declared
+from cgm_jax.config.components import ROOMS, builtin, builtin_fields, component
+from cgm_jax.config.fields import SettingError, declared
 from cgm_jax.config.settings import LOOP_FIELDS
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def test_components_are_found_under_the_names_of_their_files() -> None:
@@ -48,3 +55,32 @@ def test_components_that_share_an_option_declare_it_alike() -> None:
 
 def test_no_component_has_an_option_of_the_loop() -> None:
     assert not set(builtin_fields()) & {*LOOP_FIELDS, *ROOMS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "example", "name", "lacking", "protocol"),
+    [
+        ("curriculum", "my_curriculum", "Growing", ["sample"], "curricula.protocol.Curriculum"),
+        ("agent", "my_agent", "MyAgent", ["actor"], "agents.protocol.Agent"),
+        ("agent", "my_agent", "MyAgent", ["critics", "act", "train"], "agents.protocol.Agent"),
+    ],
+)
+def test_a_class_that_lacks_what_its_protocol_leaves_to_it_is_refused(
+    kind: str, example: str, name: str, lacking: list[str], protocol: str, tmp_path: Path
+) -> None:
+    source = (EXAMPLES / f"{example}.py").read_text()
+    for each in lacking:
+        source = re.sub(rf"(def )?\b{each}\b(?=\(self|.= 0)", rf"\1my_{each}", source)
+    (tmp_path / "mine.py").write_text(source)
+    text = f"{tmp_path / 'mine.py'}:{name}"
+    with pytest.raises(SettingError) as caught:
+        component(kind, text)
+    assert str(caught.value) == f"{kind}: {text} lacks {', '.join(lacking)}; see cgm_jax.{protocol}"
+
+
+def test_an_agent_without_critics_needs_no_value(tmp_path: Path) -> None:
+    source = (EXAMPLES / "my_agent.py").read_text()
+    (tmp_path / "mine.py").write_text(source.replace("def value(", "def my_own("))
+    agent: Any = component("agent", f"{tmp_path / 'mine.py'}:MyAgent")()
+    assert agent.critics == 0
+    assert agent.value(None, jnp.zeros((5, 3)), jnp.zeros((5, 2))).shape == (0, 5)

@@ -248,6 +248,13 @@ def test_what_cannot_track_is_refused_before_anything_is_made(
     assert not out.exists()
 
 
+def test_a_tracker_that_misspells_a_function_is_refused(tmp_path: Path) -> None:
+    source = Path(TEXT_FILE.rpartition(":")[0]).read_text()
+    (tmp_path / "mine.py").write_text(source.replace("def metrics(", "def metric("))
+    with pytest.raises(SettingError, match=r"has metric, which .* does not know; write metrics, "):
+        find_tracker(f"{tmp_path / 'mine.py'}:TextFile")
+
+
 @pytest.mark.parametrize(
     "record",
     [
