@@ -30,6 +30,7 @@ from cgm_jax.storage.checkpoints import (
     damage,
     finished_checkpoints,
     format_of,
+    last_whole,
     manifest_path,
     write_manifest,
 )
@@ -116,16 +117,13 @@ def load_checkpoint(
         ReadError: it cannot be read just now.
     """
     notes = []
-    for path in reversed(finished_checkpoints(directory, group)):
-        format_of(path)  # before a newer one, which looks damaged, is set aside
-        complaint = damage(path)
-        if complaint is None:
-            return _read(path, like), notes
+    whole, damaged = last_whole(directory, group)
+    for path, complaint in damaged.items():
         for part in (path, manifest_path(path)):
             with contextlib.suppress(OSError):
                 part.replace(part.with_name(part.name + DAMAGED))
         notes.append(f"{path} is damaged ({complaint}) and set aside")
-    return None, notes
+    return None if whole is None else _read(whole, like), notes
 
 
 def check_last_checkpoint(directory: Path, group: int, like: TrainingState) -> None:

@@ -15,9 +15,10 @@ from cgm_jax.config.grid import structure
 from cgm_jax.config.spelling import counted
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.jobs import Job
+from cgm_jax.host.runner import check_last_checkpoints
 from cgm_jax.loop.compiler import Compiler, wait_for
 from cgm_jax.machine.device_errors import DeviceError, device_errors
-from cgm_jax.storage.checkpoints import position
+from cgm_jax.storage.checkpoints import last_whole, position_of
 from cgm_jax.storage.run_directory import RunDirectory
 from cgm_jax.storage.untrusted import UNREADABLE
 
@@ -52,7 +53,13 @@ def show_plan(jobs: Sequence[Job], notes: Sequence[str], directory: RunDirectory
         jobs: what would be.
         notes: lines on memory, and remarks.
         directory: that would be resumed; None for a new one.
+
+    Raises:
+        SettingError: a checkpoint there is refused.
+        ReadError: one cannot be read just now.
     """
+    if directory is not None:
+        check_last_checkpoints(jobs, directory)
     for line in (*_plan_lines(jobs), *notes):
         print(line, flush=True)
     try:
@@ -154,12 +161,19 @@ def _recorded_paces(jobs: Sequence[Job], directory: RunDirectory) -> dict[Key, P
 
 
 def _left(job: Job, index: int, directory: RunDirectory | None) -> tuple[int, int]:
-    """Evaluations that a job has still to do, and cycles."""
-    settings, done = job.group.settings, (0, 0)
+    """Evaluations that a job has still to do, and cycles.
+
+    Raises:
+        SettingError, ReadError: a checkpoint is refused, or cannot be read just now.
+    """
+    settings, (epoch, cycle) = job.group.settings, (0, 0)
     if directory is not None:
-        done = position(directory.path / "checkpoints", index)
-    epochs = max(0, settings.epochs - done[0])
-    return epochs, max(0, epochs * settings.cycles_per_epoch - done[1])
+        whole, damaged = last_whole(directory.path / "checkpoints", index)
+        for path, complaint in damaged.items():
+            print(f"{path} is damaged ({complaint}) and would be set aside", file=sys.stderr)
+        epoch, cycle = position_of(whole)[:2] if whole else (0, 0)
+    epochs = max(0, settings.epochs - epoch)
+    return epochs, max(0, epochs * settings.cycles_per_epoch - cycle)
 
 
 def _key(job: Job) -> Key:

@@ -79,16 +79,24 @@ def finished_checkpoints(directory: Path, group: int | str = "*") -> list[Path]:
     return sorted(paths, key=position)
 
 
-def position(directory: Path, group: int) -> tuple[int, int]:
-    """Whole epochs that a group has done, and whole cycles of the next one.
+def last_whole(directory: Path, group: int) -> tuple[Path | None, dict[Path, str]]:
+    """The group's latest checkpoint that is whole, None if there is none.
 
-    (0, 0) without a checkpoint.
+    Returns:
+        It, and what is wrong with each later one, the latest first.
 
     Raises:
-        ReadError: as `finished_checkpoints`.
+        SettingError: one of these is of a newer format.
+        ReadError: one cannot be read just now, or as `finished_checkpoints`.
     """
-    paths = finished_checkpoints(directory, group)
-    return position_of(paths[-1])[:2] if paths else (0, 0)
+    damaged: dict[Path, str] = {}
+    for path in reversed(finished_checkpoints(directory, group)):
+        format_of(path)  # a newer one looks damaged
+        complaint = damage(path)
+        if complaint is None:
+            return path, damaged
+        damaged[path] = complaint
+    return None, damaged
 
 
 def epochs_begun(directory: Path) -> int:

@@ -22,7 +22,13 @@ from cgm_jax.host.checkpoint import (
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import make_programs, make_trainer
 from cgm_jax.storage import checkpoints
-from cgm_jax.storage.checkpoints import FORMAT, epochs_begun, finished_checkpoints, position
+from cgm_jax.storage.checkpoints import (
+    FORMAT,
+    epochs_begun,
+    finished_checkpoints,
+    last_whole,
+    position_of,
+)
 from cgm_jax.storage.files import ReadError
 from tests.cgm_jax.archives import spoil
 from tests.cgm_jax.probe import TINY, tiny
@@ -124,8 +130,11 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(
     save(tmp_path, state, epoch=1)
     damaged = save(tmp_path, state, epoch=2)
     DAMAGE[kind](damaged)
+    whole, complaints = last_whole(tmp_path, 0)
+    assert (whole and position_of(whole), [*complaints]) == ((1, 0, 0), [damaged])
     training, (note,) = load(tmp_path)
     assert training.epoch == 1
+    assert complaints[damaged] in note
     assert note.startswith(f"{damaged} is damaged (")
     assert not damaged.exists()  # set aside, so that it does not count as one of the two kept
     assert Path(f"{damaged}.damaged").exists()
@@ -182,10 +191,11 @@ def test_files_that_are_no_checkpoints_are_nobodys_business(
 
 
 def test_a_part_of_a_cycle_begins_an_epoch(tmp_path: Path, state: TrainingState) -> None:
-    save(tmp_path, state, epoch=3)
-    assert (epochs_begun(tmp_path), position(tmp_path, 0)) == (3, (3, 0))
-    save_checkpoint(tmp_path, 0, TrainingProgress(state, 3, 0, 12.5, ROWS, part=55))
-    assert (epochs_begun(tmp_path), position(tmp_path, 0)) == (4, (3, 0))
+    whole = save(tmp_path, state, epoch=3)
+    assert (epochs_begun(tmp_path), position_of(whole)) == (3, (3, 0, 0))
+    later = save_checkpoint(tmp_path, 0, TrainingProgress(state, 3, 0, 12.5, ROWS, part=55))
+    assert (epochs_begun(tmp_path), position_of(later)) == (4, (3, 0, 55))
+    assert last_whole(tmp_path, 0) == (later, {})
 
 
 def test_no_checkpoint_is_the_beginning(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from cgm_jax.host import jobs, runner
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.loop import cutting
 from cgm_jax.loop.cutting import Parts
-from cgm_jax.storage.checkpoints import finished_checkpoints, position
+from cgm_jax.storage.checkpoints import finished_checkpoints, position_of
 from tests.cgm_jax.host.in_process import EPOCHS, RUNS, train
 from tests.cgm_jax.sweeps import assert_same_results, final_state, rows
 
@@ -63,7 +63,7 @@ def test_a_signal_in_the_middle_of_a_cycle_ends_with_all_of_it_that_is_done(
     assert begun[-1] == (1, PARTS - 2)
     last = finished_checkpoints(out / "checkpoints", 0)[-1]
     assert last.stem == f"group0_epoch000000_cycle000001_part{PARTS - 1:06d}"
-    assert position(out / "checkpoints", 0) == (0, 1)
+    assert position_of(last) == (0, 1, PARTS - 1)
     assert train(out, *OPTIONS) == 0
     assert len(rows(out)) == EPOCHS * RUNS
     assert_same_results(whole, out)

@@ -10,6 +10,7 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host import dry_run
+from cgm_jax.storage.checkpoints import FORMAT
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.host.in_process import OPTIONS, train
 from tests.cgm_jax.sweeps import POINT_MASS, rows
@@ -57,6 +58,34 @@ def test_a_dry_run_of_a_begun_sweep_takes_its_recorded_pace(
     assert capsys.readouterr().out.endswith("time: none, all is done\n")
     with pytest.raises(SettingError, match=r"^epochs: 3 are fewer"):
         sweep.main(["--resume", str(out), "--epochs", "3", "--dry-run"])
+    assert files(out) == before
+
+
+def test_a_dry_run_counts_no_checkpoint_that_is_damaged(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    checkpoints = sorted((out / "checkpoints").glob("*.npz"))
+    for path in checkpoints:
+        path.write_bytes(path.read_bytes()[:-1])
+    before = files(out)
+    assert sweep.main(["--resume", str(out), "--dry-run"]) == 0
+    said = capsys.readouterr()
+    assert "\ntime: about " in said.out
+    for path in checkpoints:
+        assert re.search(rf"{re.escape(str(path))} is damaged \(.*\) and would be set", said.err)
+    assert files(out) == before
+
+
+def test_a_dry_run_refuses_what_resuming_refuses(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    for path in (out / "checkpoints").glob("*.json"):
+        path.write_text(json.dumps({**json.loads(path.read_text()), "format": FORMAT + 1}))
+    before = files(out)
+    with pytest.raises(SettingError, match=rf"^resume: .* of format {FORMAT + 1}, of a newer"):
+        sweep.main(["--resume", str(out), "--dry-run"])
     assert files(out) == before
 
 
