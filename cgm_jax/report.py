@@ -16,6 +16,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import owns_process, parse, print_restored, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
+from cgm_jax.machine.commands import shell_command
 from cgm_jax.storage.looking import is_directory, look_at
 
 if TYPE_CHECKING:
@@ -61,8 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ) as interruption:
         seen = _state(options.directories)  # before it is read: what comes later is new
         sweeps = _read(options.directories)
+        remarks = [_remark(sweep) for sweep in sweeps if sweep.lacks_rows]
         if not options.follow and not any(sweep.runs for sweep in sweeps):
-            raise SettingError(f"{options.directories[0]} has no finished epoch yet; try --follow")
+            empty = f"{options.directories[0]} has no finished epoch yet; try --follow"
+            raise SettingError(remarks[0] if remarks else empty)
+        for remark in remarks:
+            print(remark, file=sys.stderr)
         _write(out, sweeps, options.follow)
         print(out, flush=True)
         if not options.follow:
@@ -99,6 +104,14 @@ def _read(paths: Sequence[Path]) -> "list[Sweep]":
     for path in paths:
         print_restored(path)
     return [read_sweep(path) for path in paths]
+
+
+def _remark(sweep: "Sweep") -> str:
+    """What to say of a sweep that lacks rows."""
+    from cgm_jax.storage.layout import METRICS
+
+    command = shell_command("cgm_jax.sweep", "--resume", sweep.path)
+    return f"{sweep.path / METRICS} lacks epochs that a checkpoint has; to restore them: {command}"
 
 
 def _write(out: Path, sweeps: "Sequence[Sweep]", follows: bool) -> None:

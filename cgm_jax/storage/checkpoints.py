@@ -109,6 +109,16 @@ def epochs_begun(directory: Path) -> int:
     return max([epoch + ((cycle, part) > (0, 0)) for epoch, cycle, part in positions], default=0)
 
 
+def epochs_done(directory: Path) -> dict[int, int]:
+    """Whole epochs in each group's last checkpoint, by the group's number, as their names say.
+
+    Raises:
+        ReadError: as `finished_checkpoints`.
+    """
+    paths = finished_checkpoints(directory)  # the last one of a group comes last
+    return {int(re.findall(r"\d+", path.stem)[0]): position_of(path)[0] for path in paths}
+
+
 def position_of(path: Path) -> tuple[int, int, int]:
     """Epochs that are done in a checkpoint, cycles of the next one, and parts of the next cycle."""
     epoch, cycle, *part = (int(number) for number in re.findall(r"\d+", path.stem)[1:])

@@ -16,6 +16,7 @@ import pytest
 from cgm_jax import report
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.machine.commands import shell_command
 from cgm_jax.results.page import page as page_module
 from cgm_jax.results.page.page import unpacked
 from cgm_jax.storage import checkpoints
@@ -135,10 +136,7 @@ def test_a_torn_config_comes_back_from_a_checkpoint(
 ) -> None:
     path = directory(tmp_path / "run", timed_run([0.0, 0.5]))
     config = (path / "config.json").read_bytes()
-    checkpoint = path / "checkpoints/group0_epoch000001_cycle000000.npz"
-    checkpoint.parent.mkdir(exist_ok=True)
-    checkpoint.write_bytes(b"whole")
-    write_manifest(checkpoint, sha256(b"whole").hexdigest(), len(b"whole"), config)
+    checkpoint = checkpointed(path, 0, 1)
     (path / "config.json").write_bytes(config[:50])
     assert report.main([str(path)]) == 0
     assert f"restored from {checkpoint}" in capsys.readouterr().err
@@ -146,6 +144,43 @@ def test_a_torn_config_comes_back_from_a_checkpoint(
     (path / "config.json").write_text("{}")  # somebody may have edited it
     with pytest.raises(SettingError, match=r"damaged: .*; without this file it comes back from a"):
         report.main([str(path)])
+
+
+def checkpointed(path: Path, group: int, epoch: int) -> Path:
+    """A whole checkpoint in a made-up directory."""
+    file = path / f"checkpoints/group{group}_epoch{epoch:06d}_cycle000000.npz"
+    file.parent.mkdir(exist_ok=True)
+    file.write_bytes(b"whole")
+    config = (path / "config.json").read_bytes()
+    write_manifest(file, sha256(b"whole").hexdigest(), len(b"whole"), config)
+    return file
+
+
+def test_epochs_that_checkpoints_hold_but_metrics_lack_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [row for seed in (0, 1) for row in timed_run([0.0, 0.5, 0.6], seed, run=f"seed{seed}")]
+    path, metrics = directory(tmp_path / "run", rows), tmp_path / "run/metrics.jsonl"
+    for group in (0, 1):
+        checkpointed(path, group, 2)
+    latest = checkpointed(path, 1, 3)
+    assert report.main([str(path)]) == 0
+    assert capsys.readouterr().err == ""
+    remark = f"{metrics} lacks epochs that a checkpoint has; to restore them: "
+    command = shell_command("cgm_jax.sweep", "--resume", path)
+
+    lines = metrics.read_text().splitlines(keepends=True)
+    metrics.write_text("".join(lines[:-1]))
+    assert report.main([str(path)]) == 0
+    assert capsys.readouterr().err == f"{remark}{command}\n"
+    latest.write_bytes(b"damaged")  # so that it would restore nothing
+    assert report.main([str(path)]) == 0
+    assert capsys.readouterr().err == ""
+
+    metrics.unlink()
+    with pytest.raises(SettingError) as refused:
+        report.main([str(path)])
+    assert str(refused.value) == remark + command
 
 
 def test_a_config_that_cannot_be_read_just_now_is_refused_and_left_alone(

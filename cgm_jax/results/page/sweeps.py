@@ -10,6 +10,7 @@ from typing import Any, TypeGuard
 from cgm_jax.config.fields import SettingError
 from cgm_jax.results.figures.runs import TrainedRun, grouped, runs_of
 from cgm_jax.results.statistics import holds
+from cgm_jax.storage.checkpoints import epochs_done, last_whole, position_of
 from cgm_jax.storage.layout import METRICS
 from cgm_jax.storage.metrics import Row, check_row, plain_row
 from cgm_jax.storage.run_directory import RunDirectory
@@ -37,12 +38,14 @@ class Sweep:
         config: its config.json, in the present format.
         runs: those with at least one epoch.
         told: settings that rows tell apart; None if they are of a version that did not say.
+        lacks_rows: whether a checkpoint holds epochs that metrics.jsonl does not.
     """
 
     path: Path
     config: Values
     runs: Sequence[TrainedRun]
     told: Sequence[str] | None
+    lacks_rows: bool
 
     @property
     def planned(self) -> dict[str, Values]:
@@ -67,13 +70,56 @@ def read_sweep(path: Path) -> Sweep:
     """
     directory = RunDirectory.open(path)
     config = plain_row(directory.config.read())
+    done = _epochs_done(path)  # before the rows, which are written before a checkpoint
     rows = _rows(directory)
     try:
-        sweep = Sweep(path, config, runs_of(rows), _told(rows))
+        runs = runs_of(rows)
+        sweep = Sweep(path, config, runs, _told(rows), _lacks_rows(path, config, runs, done))
         _check_runs(sweep)
     except UNREADABLE as error:
         raise _damaged(path, error) from None
     return sweep
+
+
+def _epochs_done(path: Path) -> dict[int, int]:
+    """Whole epochs in the checkpoints of each group; none where they cannot be read just now."""
+    try:
+        return epochs_done(path / "checkpoints")
+    except OSError:
+        return {}
+
+
+def _lacks_rows(
+    path: Path, config: Values, runs: Sequence[TrainedRun], done: Mapping[int, int]
+) -> bool:
+    """Whether a group's last checkpoint has epochs of which there are no rows.
+
+    Args:
+        path: of the run directory.
+        config: its config.
+        runs: with their rows.
+        done: epochs in checkpoints by group, of which those that count here must be whole.
+    """
+    written = {run.name: [row["epoch"] for row in run.rows] for run in runs}
+    for number, epochs in done.items():
+        there = [
+            sum(epoch <= epochs for epoch in written.get(values["name"], ()))
+            for group in config["groups"][number : number + 1]
+            for values in group["runs"]
+        ]
+        least = min(there, default=epochs)
+        if least < epochs and least < _whole_epochs(path, number):
+            return True
+    return False
+
+
+def _whole_epochs(path: Path, group: int) -> int:
+    """Epochs in a group's last whole checkpoint, from which its rows come back."""
+    try:
+        whole, _ = last_whole(path / "checkpoints", group)
+    except (OSError, SettingError):  # cannot be read just now, or by this version
+        return 0
+    return position_of(whole)[0] if whole else 0
 
 
 def _rows(directory: RunDirectory) -> list[Row]:
