@@ -12,7 +12,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import absolute
 from cgm_jax.launching.attempts import Order
 from cgm_jax.storage.files import replacing
-from cgm_jax.storage.layout import LAUNCH, check_parts
+from cgm_jax.storage.layout import LAUNCH, check_parts, why_it_holds_none
 from cgm_jax.storage.untrusted import UNREADABLE, from_json
 
 FORMAT = 1
@@ -152,7 +152,7 @@ def read_launch(path: Path) -> Launch:
             resources=_resources(entry["resources"]),
         )
     except (FileNotFoundError, NotADirectoryError):
-        raise SettingError(f"resume: {path} holds no launch: {LAUNCH} is missing") from None
+        raise SettingError(f"resume: {why_it_holds_none(path, LAUNCH)}") from None
     except OSError as error:
         raise SettingError(f"resume: cannot read {file}: {error.strerror}") from None
     except UNREADABLE as error:

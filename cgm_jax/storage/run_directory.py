@@ -30,7 +30,15 @@ from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun
 from cgm_jax.storage.config_file import damaged
 from cgm_jax.storage.files import reading, remove_partials, replacing
-from cgm_jax.storage.layout import CONFIG, LAUNCH, METRICS, START, TABLE, check_parts
+from cgm_jax.storage.layout import (
+    CONFIG,
+    LAUNCH,
+    METRICS,
+    START,
+    TABLE,
+    check_parts,
+    why_it_holds_none,
+)
 from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.sweep_config import SweepConfig
@@ -106,7 +114,7 @@ class RunDirectory:
             SettingError: it holds none, or a part of it leads elsewhere.
         """
         if not cls(path).holds_sweep():
-            raise SettingError(f"{path} holds no sweep: {CONFIG} is missing")
+            raise SettingError(why_it_holds_none(path, CONFIG))
         check_parts(path)
         return cls(path)
 

@@ -207,7 +207,7 @@ CONTRADICTIONS = {
     "--resume {} --preset smoke": "resume: a sweep resumes as it was begun, without preset",
     "--resume {} --config x": "resume: a sweep resumes as it was begun, without config",
     "--resume {}": "holds no sweep: config.json is missing",
-    "--resume {}/nowhere": "holds no sweep: config.json is missing",
+    "--resume {}/nowhere": "error: there is no directory /",
     "--checkpoint-seconds -1": "checkpoint_seconds: -1.0 is not a finite number of at least 0",
     "--checkpoint-seconds nan": "checkpoint_seconds: nan is not a finite number of at least 0",
     "--seeds 1000000": "seed: more than 100,000 runs in one sweep",

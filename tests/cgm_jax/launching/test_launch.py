@@ -54,7 +54,7 @@ from tests.cgm_jax.sweeps import POINT_MASS, rows
         (["--jobs", "2", "--", "--preset", "none"], "preset: unknown preset 'none'"),
         (["--jobs", "2", *SMOKE, "--checkpoint-seconds", "-1"], "checkpoint_seconds: -1"),
         (["--jobs", "2", *SMOKE, "--env", "none.py:X"], "env: .*none.py:X' is not FILE.py:NAME"),
-        (["--resume", "none"], "resume: none holds no launch: launch.json is missing"),
+        (["--resume", "none"], "resume: there is no directory none"),
         (["--resume", "none", "--jobs", "2"], "resume: a launch resumes as it was begun"),
         (["--on", "ray", "--jobs", "2", *SMOKE], r"on: ray needs Ray, .*'\.\[ray\]'$"),
         (["--jobs", "2", *SMOKE[1:]], "^preset: is an option of the sweep; those follow after --$"),

@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
+from cgm_jax.launching.directory import read_launch
 from cgm_jax.storage import provenance, run_directory
 from cgm_jax.storage.files import PARTIAL, ReadError
 from cgm_jax.storage.layout import CONFIG
@@ -199,6 +200,41 @@ def test_a_directory_with_a_link_is_neither_read_nor_written(link: str, tmp_path
     ):
         pass
     assert target.read_bytes() == before
+
+
+NO_SWEEP = {
+    "nowhere": "there is no directory {path}",
+    "sweep/config.json": "{path} is no directory",
+    "sweep/config.json/x": "there is no directory {path}",
+    "x" * 300: "cannot look at {path}: File name too long",
+    "empty": "{path} holds no sweep: config.json is missing",
+    "launch": "{path} holds no sweep, but a launch, whose parts are in {path}/parts; to resume it: "
+    "{python} -m cgm_jax.launch --resume {path}",
+}
+NO_LAUNCH = {
+    "nowhere": "resume: there is no directory {path}",
+    "empty": "resume: {path} holds no launch: launch.json is missing",
+    "sweep": "resume: {path} holds no launch, but a sweep; to resume it: "
+    "{python} -m cgm_jax.sweep --resume {path}",
+}
+
+
+@pytest.mark.parametrize(
+    ("opened", "name", "line"),
+    [
+        *((RunDirectory.open, *item) for item in NO_SWEEP.items()),
+        *((read_launch, *item) for item in NO_LAUNCH.items()),
+    ],
+)
+def test_what_is_there_instead_of_a_sweep_or_a_launch_is_said(
+    opened: Callable[[Path], object], name: str, line: str, tmp_path: Path
+) -> None:
+    for file in ("launch/launch.json", "sweep/config.json", "empty/other"):
+        (tmp_path / file).parent.mkdir()
+        (tmp_path / file).write_text("{}")
+    with pytest.raises(SettingError) as refused:
+        opened(tmp_path / name)
+    assert str(refused.value) == line.format(path=tmp_path / name, python=sys.executable)
 
 
 def test_a_link_to_a_run_directory_is_fine(tmp_path: Path) -> None:
