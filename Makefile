@@ -24,7 +24,7 @@ setup-cuda: setup
 	$(RUN) -m cgm_jax.benchmark --part device
 
 sweep: setup
-	$(RUN) -m cgm_jax.sweep --preset quick $(ARGS)
+	$(RUN) -m cgm_jax.sweep $(ARGS)
 
 test: lint
 	$(RUN) -m pytest $(PARALLEL) -m "not slow" $(ARGS)

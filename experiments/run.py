@@ -4,7 +4,7 @@ Trains a question's sweeps (plans.toml) into runs/experiments/SWEEP (`--runs`), 
 from where it stopped. What is done is then recorded in results/sweeps/SWEEP. From those records
 come tables and figures in results/QUESTION, and the tables and numbers of README.md.
 
-What is on record whole is not trained again, but with `--again`.
+What is on record as it is planned is left as it is, but with `--again`.
 
 `--train` trains and leaves the records as they are, so that a checkout stays at its commit;
 `--draw` trains nothing, records what is done and draws; `--report` only brings README.md up to
@@ -35,11 +35,13 @@ from experiments.learning.plans import (
 from experiments.learning.records import (
     RecordedRun,
     Row,
+    done_runs,
     is_whole,
     record,
     recorded_runs,
     recorded_settings,
     same_runs,
+    trained_settings,
 )
 from experiments.learning.tables import Runs, learning_speed, metrics_of
 from experiments.learning.train import train
@@ -57,6 +59,12 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
 }
 
 
+def is_on_record(sweep: str, planned: Settings) -> bool:
+    """Whether all runs of a sweep are on record, and are those that are planned now."""
+    recorded = [settings for _, settings in recorded_settings(sweep)]
+    return is_whole(sweep) and same_runs(recorded, planned_settings(planned))
+
+
 def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
     """A sweep's runs that are on record.
 
@@ -65,7 +73,7 @@ def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
     """
     recorded = [settings for _, settings in recorded_settings(sweep)]
     if recorded and not same_runs(recorded, planned_settings(planned)):
-        raise ValueError(f"{sweep}: on record are other runs than are planned; train it again")
+        raise ValueError(f"{sweep}: on record are other runs than are planned; --again trains it")
     return recorded_runs(sweep)
 
 
@@ -94,6 +102,12 @@ def write_results(name: str, question: Question, plans: Plans) -> Path:
     return target
 
 
+def is_finished(path: Path) -> bool:
+    """Whether a directory holds a sweep of which all runs are done."""
+    trained = RunDirectory(path)
+    return trained.holds_sweep() and len(done_runs(trained)) == len(trained_settings(trained))
+
+
 def _save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=130)
     plt.close(figure)
@@ -110,7 +124,7 @@ def _parser(plans: Plans) -> argparse.ArgumentParser:
         "--only", nargs="+", default=[], metavar="SWEEP", help="of the questions' sweeps only these"
     )
     parser.add_argument(
-        "--again", action="store_true", help="train also what is on record, and replace it"
+        "--again", action="store_true", help="train and replace also what is on record"
     )
     parser.add_argument(
         "--runs",
@@ -138,17 +152,23 @@ def main() -> None:
         parser.error(f"there is no question {unknown[0]!r}; there are {', '.join(plans.questions)}")
     if bool(options.questions) == options.report:
         parser.error("name questions to answer, or give --report alone")
+    if options.again and options.report:
+        parser.error("--again: goes with questions")
     if options.at_once < 1:
         parser.error(f"--at-once: {options.at_once} is not at least 1")
     sweeps = [sweep for name in options.questions for sweep in plans.questions[name].sweeps]
     if unknown := [name for name in options.only if name not in sweeps]:
         parser.error(f"--only: {unknown[0]!r} is no sweep of theirs; there are {', '.join(sweeps)}")
     sweeps = list(dict.fromkeys(options.only or sweeps))
-    if not (options.draw or options.report):
-        there = {name for name in sweeps if is_whole(name) and not options.again}
-        for name in sorted(there):
+    if not options.again:
+        there = [name for name in sweeps if is_on_record(name, plans.sweeps[name])]
+        sweeps = [name for name in sweeps if name not in there]
+        for name in [] if options.draw else there:
             print(f"{name}: on record; --again trains it again")
-        asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps if name not in there}
+    if not (options.draw or options.report):
+        asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps}
+        if options.again and (done := [name for name in sweeps if is_finished(options.runs / name)]):
+            parser.error(f"--again: {options.runs / done[0]} is done; name another --runs")
         train(asked_for, options.runs, options.at_once)
     if options.train:
         return

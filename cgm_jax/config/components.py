@@ -34,7 +34,9 @@ PLACES = {**ROOMS, TRACK: "cgm_jax.results.trackers"}
 NAMES = ("env", *ROOMS)
 """Settings whose value is a name, of ours or of something of the user's own."""
 
-CLOSE = 0.75
+OURS = "cgm_jax."
+
+CLOSE = 0.88
 """Names that are as like as this, by `difflib`, may be meant to be the same."""
 
 
@@ -97,7 +99,8 @@ def check_names(kind: str, name: str, found: type) -> None:
             one as it is.
     """
     protocol = _protocol(kind)
-    bases = [base for base in found.__mro__ if base not in protocol.__mro__]
+    # What a class of ours defines is, for one derived from it, as good as the protocol's.
+    bases = [one for one in found.__mro__ if one is found or not one.__module__.startswith(OURS)]
     own = {each for base in bases for each in vars(base) if not each.startswith("_")}
     offered = [each for each in vars(protocol) if not each.startswith("_")]
     inherited = [each for each in offered if each not in own]

@@ -271,9 +271,9 @@ def _check_words(words: Sequence[str], *, from_file: bool) -> None:
         if option.startswith("--tyro-") or (from_file and asks_for_help([word])):
             raise SettingError(f"{word[:60]!r} is no option here")
         if option.startswith("--") and option != "--" and option in given:
-            raise SettingError(f"{option[2:62]}: is given twice; its values follow each other")
+            raise SettingError(f"{option[2:62]}: is given twice")
         if word == "None" or (option.startswith("--") and word.endswith("=None")):
-            raise SettingError("None is no value; leave the option out")
+            raise SettingError("None is no value here; leave the option out, or --set NAME=None")
         given.add(option)
 
 

@@ -100,6 +100,7 @@ def check_separated(words: Sequence[str]) -> None:
     of_launch, of_sweep = (
         {item.name for item in fields(kind)} for kind in (LaunchOptions, SweepOptions)
     )
+    of_sweep = of_sweep - {"start"} | {"from"}  # as its option is called
     for word in words:
         name = word.partition("=")[0].removeprefix("--").replace("-", "_")
         if word.startswith("--") and name in of_sweep - of_launch:

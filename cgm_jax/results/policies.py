@@ -47,7 +47,7 @@ simulator of its own, are of one policy.
 """
 
 MAX_GIF_BYTES = 4 * 2**30
-"""What the frames of a .gif may take: some 65 episodes of a Fetch task, 640 pixels wide."""
+"""What the frames of a .gif may take: some 69 episodes of a Fetch task, 640 pixels wide."""
 
 NOISE = 2**31
 """What makes the key of an episode's noise of its own; a reset splits that in far fewer."""

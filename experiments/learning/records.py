@@ -100,33 +100,42 @@ def record(trained: RunDirectory, sweep: str, planned: Sequence[Row]) -> None:
         planned: settings of the runs that it is to hold; see `settings_of`.
 
     Raises:
-        ValueError: other runs were trained than are planned, or one is not done that is on record;
-            nothing is written then.
+        ValueError: other runs were trained than are planned, or one is not done that is planned and
+            on record; nothing is written then.
     """
-    config = trained.path / CONFIG
-    settings = settings_by_run(_read(config))
+    settings, done = trained_settings(trained), done_runs(trained)
     if not same_runs([values for _, values in settings], planned):
         raise ValueError(f"{trained.path}: these are other runs than are planned for {sweep}")
-    rows = trained.metrics() if (trained.path / METRICS).is_file() else []
-    done = {
-        name
-        for name, values in settings
-        if is_done([row for row in rows if row["run"] == name], values)
-    }
-    kept = [row for row in rows if row["run"] in done]
-    if kept:
-        finished = _in_order([values for name, values in settings if name in done])
-        recorded = {run.name: _in_order([run.settings])[0] for run in recorded_runs(sweep)}
-        if lost := [name for name, values in recorded.items() if values not in finished]:
+    missing = _in_order([values for name, values in settings if name not in done])
+    for run in recorded_runs(sweep) if done else ():
+        if _in_order([run.settings])[0] in missing:
             raise ValueError(
-                f"{trained.path}: {lost[0]} is on record and not done here; nothing was recorded"
+                f"{trained.path}: {run.name} is on record and not done here; nothing was recorded"
             )
+    if done:
+        kept = [row for row in trained.metrics() if row["run"] in done]
+        config = trained.path / CONFIG
         columns = [name for name in COLUMNS if any(name in row for row in kept)]
         folder = SWEEPS / sweep
         folder.mkdir(parents=True, exist_ok=True)
         (folder / CONFIG).write_text(FOLDERS_ABOVE.sub("", config.read_text()))
         table = [{name: _text(row.get(name)) for name in columns} for row in kept]
         write_table(folder / LEARNING, table)
+
+
+def trained_settings(trained: RunDirectory) -> list[tuple[str, Row]]:
+    """Name and settings of every run of a directory; see `settings_from`."""
+    return settings_by_run(_read(trained.path / CONFIG))
+
+
+def done_runs(trained: RunDirectory) -> set[str]:
+    """Names of the runs of a directory that are done."""
+    rows = trained.metrics() if (trained.path / METRICS).is_file() else []
+    return {
+        name
+        for name, values in trained_settings(trained)
+        if is_done([row for row in rows if row["run"] == name], values)
+    }
 
 
 def restore(sweep: str, folder: Path) -> None:

@@ -264,14 +264,16 @@ def _from_to(shares: Collection[float], decimals: int = 0) -> str:
 
 
 def commits_of(table: str) -> str:
-    """The commits that made the rows of a table, such as "commit `0123456`, with changes".
+    """The commits that made the rows of a table, such as "commit `0123456` (with changes)".
 
     Args:
         table: its path in results/.
     """
     rows = read_table(SWEEPS.parent / table)
     commits = sorted({row["commit"] for row in rows})
-    named = [f"`{commit[:7]}`" + ", with changes" * commit.endswith("-dirty") for commit in commits]
+    named = [
+        f"`{commit[:7]}`" + " (with changes)" * commit.endswith("-dirty") for commit in commits
+    ]
     return f"commit{'s' * (len(named) > 1)} {', '.join(named)}"
 
 

@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"error: {failure}", file=sys.stderr)
         if failures:
             return ExitCode.FAILED
-        draw(options.out, options.cpu_seconds)
+        draw(options.out)
     return ExitCode.DONE
 
 
@@ -104,7 +104,7 @@ def train_missing(options: CompareOptions) -> Iterator[BaseException]:
         for task in options.tasks
         for arm in options.arms
     }
-    there = runs_made(options.out, options.cpu_seconds)
+    there = runs_made(options.out)
     for run, failure in train_all([run for run in wanted if run not in there], options):
         if failure is not None:
             yield failure

@@ -21,26 +21,26 @@ COLOURS = dict(
 Curve = Mapping[str, np.ndarray]
 
 
-def curves_in(out: Path, cpu_seconds: float) -> dict[tuple[str, str], list[Curve]]:
-    """Curves of so many CPU seconds by task and arm, one per seed: arrays by column."""
+def curves_in(out: Path) -> dict[tuple[str, str], list[Curve]]:
+    """Curves by task and arm, one per seed: arrays by column."""
     found: dict[tuple[str, str], list[Curve]] = defaultdict(list)
-    for run in runs_made(out, cpu_seconds):
+    for run in runs_made(out):
         rows = read_table(run.path(out))
         columns = {x: np.array([float(row[x]) for row in rows]) for x in rows[0]}
         found[run.task, run.arm].append(columns)
     return dict(found)
 
 
-def draw(out: Path, cpu_seconds: float) -> Path:
-    """Draw the curves of so many CPU seconds in OUT into OUT/comparison.png; the path.
+def draw(out: Path) -> Path:
+    """Draw the curves in OUT into OUT/comparison.png; the path.
 
     Raises:
         ValueError: there is no curve.
     """
-    curves = curves_in(out, cpu_seconds)
+    curves = curves_in(out)
     tasks = [task for task in TASKS if any(key[0] == task for key in curves)]
     if not tasks:
-        raise ValueError(f"{out}: there is no curve of {cpu_seconds:g} CPU seconds")
+        raise ValueError(f"{out}: there is no curve")
     size = (12.0, 4.6 * len(tasks))
     shape = {"figsize": size, "squeeze": False, "sharey": True, "layout": "constrained"}
     figure, panels = plt.subplots(len(tasks), 2, **shape)

@@ -15,7 +15,7 @@ LEVEL = 0.9
 
 def other_programs(out: Path = CompareOptions.out) -> Table:
     """When each run holds 90 %, and where it ends."""
-    runs = runs_made(out, CompareOptions.cpu_seconds)
+    runs = runs_made(out)
     in_order = sorted(
         runs, key=lambda run: ([*TASKS].index(run.task), NAMES.index(run.arm), run.seed)
     )
@@ -26,7 +26,7 @@ def other_programs(out: Path = CompareOptions.out) -> Table:
 
 def held_by_program(arm: str, task: str, out: Path = CompareOptions.out) -> str:
     """How many runs of an arm hold 90 % on a task, such as "three of three seeds"."""
-    runs = [r for r in runs_made(out, CompareOptions.cpu_seconds) if (r.arm, r.task) == (arm, task)]
+    runs = [r for r in runs_made(out) if (r.arm, r.task) == (arm, task)]
     if not runs:
         return NOT_YET
     held = sum(first_to_hold(_curve(run, out), LEVEL) is not None for run in runs)

@@ -24,12 +24,11 @@ class Run(NamedTuple):
         return self.path(out).with_suffix(".partial")
 
 
-def runs_made(out: Path, cpu_seconds: float) -> list[Run]:
-    """Runs whose curve is there, with so many CPU seconds."""
+def runs_made(out: Path) -> list[Run]:
+    """Runs whose curve is there, all with the same CPU seconds."""
     path = out / RUNS
     made = [
         Run(row["arm"], row["task"], int(row["seed"]))
         for row in (read_table(path) if path.exists() else [])
-        if float(row["cpu_seconds"]) == cpu_seconds
     ]
     return sorted(run for run in made if run.path(out).exists())

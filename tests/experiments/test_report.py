@@ -152,6 +152,7 @@ def test_the_program_refuses_what_it_cannot_do(
         (["push", "--at-once", "0"], "--at-once"),
         (["push", "--only", "quick"], "'quick' is no sweep of theirs"),
         (["push", "--train", "--draw"], "not allowed with"),
+        (["--report", "--again"], "--again"),
     ):
         monkeypatch.setattr(sys, "argv", ["run", *arguments])
         with pytest.raises(SystemExit) as end:
@@ -193,7 +194,7 @@ def test_some_sweeps_of_a_question_are_trained_and_nothing_is_written(
     asked_for: dict[str, list[str]] = {}
     monkeypatch.setattr(run, "train", lambda sweeps, *_: asked_for.update(sweeps))
     monkeypatch.setattr(run, "README", tmp_path / "README.md")
-    monkeypatch.setattr(run, "is_whole", lambda sweep: sweep == "push_by_full")
+    monkeypatch.setattr(run, "is_on_record", lambda sweep, _: sweep == "push_by_full")
     options = ["curricula", "--train", "--only", "push_by_vds", "push_by_full"]
     monkeypatch.setattr(sys, "argv", ["run", *options])
     run.main()
@@ -216,12 +217,34 @@ def test_a_directory_that_would_cost_a_record_stops_the_program(
     metrics = runs / "push_her" / METRICS
     metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-1]))
     before = (tmp_path / "sweeps" / "push_her" / records.LEARNING).read_text()
-    monkeypatch.setattr(sys, "argv", ["run", "push", "--draw", "--runs", str(runs)])
+    words = ["run", "push", "--draw", "--runs", str(runs)]
+    monkeypatch.setattr(run, "RESULTS", tmp_path / "results")
+    (tmp_path / "README.md").write_text("\n")
+    monkeypatch.setattr(sys, "argv", words)
+    run.main()  # what is on record stays without being asked for
+    monkeypatch.setattr(sys, "argv", [*words, "--again"])
     with pytest.raises(SystemExit, match="seed4 is on record and not done here") as end:
         run.main()
     assert str(end.value).startswith("error: ")
     assert (tmp_path / "sweeps" / "push_her" / records.LEARNING).read_text() == before
-    assert not (tmp_path / "README.md").exists()
+
+
+def test_what_is_done_is_not_trained_again_in_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    records.restore("push_her", tmp_path / "push_her")
+    monkeypatch.setattr(run, "train", lambda *_: pytest.fail("it is trained"))
+    monkeypatch.setattr(sys, "argv", ["run", "push", "--again", "--runs", str(tmp_path)])
+    with pytest.raises(SystemExit) as end:
+        run.main()
+    assert end.value.code == 2
+    assert "push_her is done; name another --runs" in capsys.readouterr().err
+
+
+def test_a_record_of_fewer_runs_than_are_planned_now_is_to_be_trained() -> None:
+    planned = read_plans().sweeps["push_her"]
+    assert run.is_on_record("push_her", planned)
+    assert not run.is_on_record("push_her", {**planned, "seed": list(range(6))})
 
 
 def test_a_record_of_other_runs_than_planned_is_refused() -> None:

@@ -58,6 +58,7 @@ from tests.cgm_jax.sweeps import POINT_MASS, rows
         (["--resume", "none", "--jobs", "2"], "resume: a launch resumes as it was begun"),
         (["--on", "ray", "--jobs", "2", *SMOKE], r"on: ray needs Ray, .*'\.\[ray\]'$"),
         (["--jobs", "2", *SMOKE[1:]], "^preset: is an option of the sweep; those follow after --$"),
+        (["--jobs", "2", "--from", "x", *SMOKE], "^from: is an option of the sweep; those follow"),
         (["--jobs", "2", "--minutes", "3", *SMOKE], "^minutes: goes with --on slurm$"),
         (["--jobs", "2", "--sbatch", "a=b", *SMOKE], "^sbatch: goes with --on slurm$"),
         (

@@ -12,6 +12,7 @@ from cgm_jax.config.components import ROOMS, TRACK, builtin, check_names
 from cgm_jax.config.fields import SettingError, settings, traced
 from cgm_jax.config.grid import Run, hyperparameters
 from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.curricula.cgm import CGM
 from cgm_jax.curricula.full import Full
 from cgm_jax.loop.own_components import check_components
 from cgm_jax.loop.training import Trainer, make_trainer
@@ -282,12 +283,42 @@ class Helped(Full):
         return state
 
 
+@settings
+class Derived(CGM):
+    def after_evalution(self, state: Any, outcomes: Any, examined: Any) -> Any:
+        return state
+
+
+@settings
+class Handy(Full):
+    """Helpers that are less like the protocol's functions than misspellings are."""
+
+    def before_training(self, state: Any) -> Any:
+        return state
+
+    def file(self) -> str:
+        return __file__
+
+
+@settings
+class HandyAgent(MyAgent):
+    def evaluate(self) -> None: ...
+
+    def q_value(self) -> None: ...
+
+
+def test_helpers_may_have_names_of_their_own() -> None:
+    check(curriculum=Handy(), agent=HandyAgent())
+
+
 def test_what_is_nearly_the_name_of_a_function_is_refused() -> None:
     unknown = "^curriculum: own.py:Own has {}, which training does not know; write {}, or _"
     with pytest.raises(SettingError, match=unknown.format("after_traning", "after_training")):
         check(curriculum=Misspelt())
     with pytest.raises(SettingError, match=unknown.format("want_visited", "wants_visited")):
         check(curriculum=Unseen())
+    with pytest.raises(SettingError, match=unknown.format("after_evalution", "after_evaluation")):
+        check(curriculum=Derived())
     check(curriculum=Helped())
 
 

@@ -180,6 +180,15 @@ def test_a_run_that_is_on_record_is_not_lost_to_a_directory_without_it(tmp_path:
         assert [run.rows[-1]["success_rate"] for run in records.recorded_runs(name)] == [1.0, 1.0]
 
 
+def test_a_run_that_is_planned_no_more_may_go(tmp_path: Path) -> None:
+    trained(tmp_path / "before", {}, [[0.5] * 5] * 2)
+    trained(tmp_path / "now", {"discount": [0.9]}, [[1.0] * 5, []])
+    for name in ("before", "now"):
+        record(tmp_path / name, "mine")
+    (run,) = records.recorded_runs("mine")
+    assert (run.settings["discount"], run.rows[-1]["success_rate"]) == (0.9, 1.0)
+
+
 def test_other_runs_than_are_planned_are_not_recorded(tmp_path: Path) -> None:
     trained(tmp_path / "run", {}, [[1.0] * 5] * 2)
     planned = [records.settings_from({"env": "reach", "seed": 0})]

@@ -124,7 +124,7 @@ def test_which_commits_made_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     write_table(table, [{"commit": "0123456789ab"}] * 2)
     assert report_values.commits_of("table.csv") == "commit `0123456`"
     write_table(table, [{"commit": "fedcba987654-dirty"}, {"commit": "0123456789ab"}])
-    expected = "commits `0123456`, `fedcba9`, with changes"
+    expected = "commits `0123456`, `fedcba9` (with changes)"
     assert report_values.commits_of("table.csv") == expected
 
 
