@@ -167,8 +167,9 @@ def main() -> None:
             print(f"{name}: on record; --again trains it again")
     if not (options.draw or options.report):
         asked_for = {name: options_of(plans.sweeps[name]) for name in sweeps}
-        if options.again and (done := [name for name in sweeps if is_finished(options.runs / name)]):
-            parser.error(f"--again: {options.runs / done[0]} is done; name another --runs")
+        finished = [name for name in sweeps if is_finished(options.runs / name)]
+        if options.again and finished:
+            parser.error(f"--again: {options.runs / finished[0]} is done; name another --runs")
         train(asked_for, options.runs, options.at_once)
     if options.train:
         return

@@ -11,6 +11,7 @@ import io
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
@@ -238,6 +239,8 @@ def parse(
     """
     words = sys.argv[1:] if arguments is None else arguments
     _check_words(words, from_file=from_file)
+    for option in _given_twice(words):
+        print(f"{option} is given twice: only the last counts", file=sys.stderr)
     if asks_for_help(words):
         if issubclass(kind, TrainingOptions):
             show_preset(words, kind.default_preset, single=not kind.sweeps)
@@ -256,25 +259,28 @@ def parse(
 
 
 def _check_words(words: Sequence[str], *, from_file: bool) -> None:
-    """Check that words do nothing but choose options, each of them once.
+    """Check that words do nothing but choose options.
 
     Tyro has options of its own, which write a completion script to whatever path they are given,
-    and end the process. So does --help, which a file has no business to ask for. Of an option that
-    is given twice it takes the last, and "None" for an option that is not given.
+    and end the process. So does --help, which a file has no business to ask for. "None" it takes
+    for an option that is not given.
 
     Raises:
         SettingError: one does more, or is not what it seems.
     """
-    given: set[str] = set()
     for word in words:
-        option = word.partition("=")[0].replace("_", "-")
-        if option.startswith("--tyro-") or (from_file and asks_for_help([word])):
+        option = word.partition("=")[0]
+        if option.replace("_", "-").startswith("--tyro-") or (from_file and asks_for_help([word])):
             raise SettingError(f"{word[:60]!r} is no option here")
-        if option.startswith("--") and option != "--" and option in given:
-            raise SettingError(f"{option[2:62]}: is given twice")
         if word == "None" or (option.startswith("--") and word.endswith("=None")):
             raise SettingError("None is no value here; leave the option out, or --set NAME=None")
-        given.add(option)
+
+
+def _given_twice(words: Sequence[str]) -> list[str]:
+    """Options of which only what is given last counts, as they are called."""
+    options = [word.partition("=")[0].replace("_", "-") for word in words]
+    counts = Counter(option for option in options if option.startswith("--") and option != "--")
+    return [option for option, count in counts.items() if count > 1]
 
 
 def run_program(main: Callable[[], int]) -> NoReturn:

@@ -178,8 +178,6 @@ BAD_INPUT = {
     "--curriculum full --c-g 0.5": "c_g: is no setting of curriculum full, agent ddpg, relabelling",
     "--set gain": "set: 'gain' is not NAME=VALUE",
     "--set discount=0.9 discount=0.8": "set: discount is given twice; several values are discount=",
-    "--kappa 4 --kappa 7": "kappa: is given twice",
-    "--c-g 0.1 --c_g 0.2": "c-g: is given twice",
     "--her None": "None is no value here; leave the option out, or --set NAME=None",
     "--leave-at=None": "None is no value here; leave the option out, or --set NAME=None",
     "--set gain=3": "gain: is no setting of curriculum cgm",
@@ -216,6 +214,17 @@ def test_bad_input_ends_with_one_line_and_code_two_before_anything_compiles(
     assert "'None'" not in line
     assert not (tmp_path / "out").exists()
     assert seconds_of_children() - before < 15
+
+
+def test_an_option_that_is_given_twice_is_told(tmp_path: Path) -> None:
+    words = ["--kappa", "4", "--c_g", "0.1", "--kappa=7", "--c-g", "0.2", "--out", str(tmp_path)]
+    result = run("sweep", *SMOKE[:2], *words, "--dry-run")
+    assert result.returncode == 0
+    first, second = result.stderr.splitlines()[:2]
+    assert first == "--kappa is given twice: only the last counts"
+    assert second == "--c-g is given twice: only the last counts"
+    assert "cg0.2-kappa7" in result.stdout
+    assert "kappa4" not in result.stdout
 
 
 def test_train_refuses_a_grid() -> None:

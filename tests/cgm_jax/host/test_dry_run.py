@@ -36,7 +36,7 @@ def test_a_dry_run_says_what_would_be_trained_and_makes_nothing(
     assert out.count("2 runs in 1 program; nothing is written") == 2
     each = f"4 epochs of {rows(whole)[0]['env_steps']} environment steps each"
     assert f"\n1. {POINT_MASS}, cgm, ddpg: 2 runs side by side, {each}\n" in out
-    assert len(re.findall(r" of memory( on 2 devices)?\n", out)) == 2
+    assert len(re.findall(r": memory for [^\n]*iB( on 2 devices)?\n", out)) == 2
     assert re.search(r"\ntime: about \d+ s, \d+ s of it to compile, as measured just now; ", out)
     assert "\ntime: at most about " in out  # runs may leave
 
