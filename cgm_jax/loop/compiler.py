@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import jax
+import numpy as np
 
 from cgm_jax.config.grid import structure
 from cgm_jax.config.settings import Hyperparameters
@@ -16,6 +17,19 @@ from cgm_jax.loop.training import Programs
 
 Program = Any
 """What `jax.jit` returns, which type checkers take for a mere function."""
+
+
+def _spread_where_empty(arguments: Any, shardings: Any) -> Any:
+    """Arguments whose arrays without elements are spread as a compiled program wants them.
+
+    XLA returns such an array on every device, however it was to be spread, and compiled programs
+    refuse it then.
+    """
+    return jax.tree.map(
+        lambda leaf, sharding: leaf if np.size(leaf) else jax.device_put(leaf, sharding),
+        arguments,
+        shardings,
+    )
 
 
 class Compiling:
@@ -26,7 +40,8 @@ class Compiling:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run it."""
-        return self._compiled.result()(*arguments)
+        compiled = self._compiled.result()
+        return compiled(*_spread_where_empty(arguments, compiled.input_shardings[0]))
 
     def is_done(self) -> bool:
         """Whether a call would not have to wait."""
