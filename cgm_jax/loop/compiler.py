@@ -41,7 +41,9 @@ class Compiling:
     def __call__(self, *arguments: Any) -> Any:
         """Run it."""
         compiled = self._compiled.result()
-        return compiled(*_spread_where_empty(arguments, compiled.input_shardings[0]))
+        if not all(map(np.size, jax.tree.leaves(arguments))):
+            arguments = _spread_where_empty(arguments, compiled.input_shardings[0])
+        return compiled(*arguments)
 
     def is_done(self) -> bool:
         """Whether a call would not have to wait."""

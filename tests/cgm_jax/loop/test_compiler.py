@@ -4,7 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+from brax.envs.base import State
 
 from cgm_jax import envs
 from cgm_jax.config.fields import stack
@@ -66,6 +69,31 @@ def test_only_what_runs_seldom_and_none_of_an_environments_code_is_compiled_to_s
     monkeypatch.setattr(jax, "jit", recording)
     made = make_programs(trainer)
     assert [options[program] for program in (made.start, made.train, made.evaluate)] == expected
+
+
+class Wide:
+    """A goal of so many dimensions that masks are not counted one by one."""
+
+    action_size, episode_length, distance_threshold = 2, 10, 0.3
+
+    def reset(self, rng: jax.Array) -> State:
+        position, goal = jax.random.uniform(rng, (2, 20), minval=-1.0, maxval=1.0)
+        return self._state(position, goal)
+
+    def step(self, state: Any, action: jax.Array) -> State:
+        return self._state(state.obs["achieved_goal"] + 0.1 * action[0], state.obs["desired_goal"])
+
+    def _state(self, position: jax.Array, goal: jax.Array) -> State:
+        obs = {"observation": position, "achieved_goal": position, "desired_goal": goal}
+        return State(None, obs, jnp.zeros(()), jnp.zeros(()))
+
+
+def test_states_hold_arrays_without_elements_where_masks_are_too_many_to_count() -> None:
+    plain = make_programs(make_trainer(Wide(), TINY))  # pyright: ignore[reportArgumentType]
+    assert not plain.shapes(THREE).statistics.mask_episodes.size
+    with Compiler() as compiler:
+        state, _ = trained(compiler.programs(plain, THREE))
+    assert np.asarray(state.env_steps).min() > 0
 
 
 def test_states_from_a_checkpoint_need_no_program_that_makes_states() -> None:
