@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -88,12 +91,24 @@ class Wide:
         return State(None, obs, jnp.zeros(()), jnp.zeros(()))
 
 
-def test_states_hold_arrays_without_elements_where_masks_are_too_many_to_count() -> None:
+def train_wide() -> None:
+    """Train on it, with an idle device beside the one that trains, as programs have it."""
     plain = make_programs(make_trainer(Wide(), TINY))  # pyright: ignore[reportArgumentType]
     assert not plain.shapes(THREE).statistics.mask_episodes.size
     with Compiler() as compiler:
         state, _ = trained(compiler.programs(plain, THREE))
-    assert np.asarray(state.env_steps).min() > 0
+    print(np.asarray(state.env_steps).max())
+
+
+def test_states_hold_arrays_without_elements_where_masks_are_too_many_to_count() -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", f"from {__name__} import train_wide; train_wide()"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "JAX_NUM_CPU_DEVICES": "2"},
+    )
+    assert int(result.stdout.split()[-1]) > 0
 
 
 def test_states_from_a_checkpoint_need_no_program_that_makes_states() -> None:
