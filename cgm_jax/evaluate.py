@@ -62,9 +62,9 @@ class EvaluateOptions:
 
     env: tuple[str, ...] | None = None
     """For --random, and for a policy file that lies in no run directory: reach, push,
-    pick_and_place, or FILE.py:FACTORY of your own. With a directory: a file that its policies were
-    trained on, if it has moved, was edited, or was never named on this machine; so --curriculum,
-    --agent and --relabelling."""
+    pick_and_place, FILE.py:FACTORY of your own, or gymnasium:MODULE:ID. With a directory: a file
+    that its policies were trained on, if it has moved, was edited, or was never named on this
+    machine; so --curriculum, --agent and --relabelling."""
 
     curriculum: tuple[str, ...] | None = None
     """See --env."""

@@ -12,5 +12,6 @@ The listing:
     results/          records of what was trained and measured; figures and tables made from them
     plans.toml        every sweep with all its settings, and every question with its sweeps
     pretrained.py     trains the policies that come with the package
+    command_line.py   of programs that take nothing but paths
     table.py          CSV files; markdown.py the same for readers
 """

@@ -10,8 +10,10 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "experiments"
 PACKAGE = ROOT / "cgm_jax"
-IMAGE = re.compile(r"!\[[^]]*\]\((results/[^)]+)\)")
+IMAGE = re.compile(r"!\[[^]]*\]\((?:\.\./experiments/)?(results/[^)]+)\)")
 LINK = re.compile(r"(?<!!)\[([^]]*)\]\(([^)#]+)\)")
+OUTSIDE = re.compile(r"\[([^]]*)\]\(\.\./([^)#]+)(#[^)]*)?\)")
+"""Links of pages to what lies beside docs/, which lead somewhere in a checkout, too."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -63,5 +65,21 @@ def api(room: Path) -> str:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Comments that tests and programs read in a page are not shown."""
-    return re.sub(r"<!--.*?-->\n?", "", markdown)
+    """Links beyond docs/ lead to their pages of the site; comments that tests read are not shown."""
+
+    def here(match: re.Match[str]) -> str:
+        text, target, anchor = match.groups()
+        found = place(target)
+        return f"[{text}]({found}{anchor or ''})" if found else text
+
+    return OUTSIDE.sub(here, re.sub(r"<!--.*?-->\n?", "", markdown))
+
+
+def place(target: str) -> str | None:
+    """Where the site has a file of the repository; None where it does not show it."""
+    if target == "experiments/README.md":
+        return "results.md"
+    if room := re.match(r"(?:cgm_jax/)?(\w+)/.*py$", target):
+        return f"api/{room[1]}.md" if (PACKAGE / room[1]).is_dir() else None
+    local = target.removeprefix("experiments/")
+    return local if Path(local).suffix in (".png", ".gif") else None

@@ -1,7 +1,7 @@
 """One physics protocol, several engines.
 
 protocol.py  what an engine offers: start, advance, positions, a copy for MuJoCo
-native.py    C MuJoCo, all runs and environments in one Batch call per control step (CPU)
+native.py    C MuJoCo, all environments of a run in one Batch call per control step (CPU)
 mjx.py       MJX, MuJoCo as a JAX program (GPU, TPU, and the check of the others)
 warp.py      MuJoCo Warp (NVIDIA GPU)
 weld.py      the term of welds that MJX lacks

@@ -2,9 +2,9 @@
 
 JAX sees a pure function. The state of a simulation is its float64 state row, which travels
 through JAX as raw bits (uint32), so that no rounding happens between control steps. Under
-vmap, to any depth, the leading axes are broadcast and flattened: all runs of a sweep and all
-their environments land in one call, which MuJoCo spreads over its thread pool, bit-identical
-at any number of threads.
+vmap, to any depth, the leading axes are broadcast and flattened: all environments of a run, or of
+all runs that are vmapped, land in one call, which MuJoCo spreads over its thread pool,
+bit-identical at any number of threads.
 
 `buffer_callback` hands numpy views of XLA's own buffers to Python; `pure_callback` copies
 them through JAX arrays, which costs about ten times as much per call.

@@ -11,7 +11,6 @@ than all before, plays each mask without and with noise.
 """
 
 import functools
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
 from cgm_jax.results.figures import mask_label
 from cgm_jax.storage.policies import act, load_policy
 from cgm_jax.storage.run_directory import RunDirectory
+from experiments.command_line import paths
 from experiments.learning.calibration_errors import ESTIMATES, MEASURED, calibration_errors
 from experiments.table import write_table
 
@@ -146,6 +146,4 @@ def main(directory: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit(__doc__)
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(*paths("experiments.learning.calibration", __doc__, "run_dir", "out"))

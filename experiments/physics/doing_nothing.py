@@ -4,13 +4,13 @@ Writes OUT/doing_nothing.csv: the success of zero actions, per task. A policy th
 nothing is as good, since some goals lie where the block (or the gripper) is anyway.
 """
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cgm_jax import envs
+from experiments.command_line import paths
 from experiments.physics.scripted import Player, success
 from experiments.table import write_table
 
@@ -39,6 +39,4 @@ def main(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit(__doc__)
-    main(Path(sys.argv[1]))
+    main(*paths("experiments.physics.doing_nothing", __doc__, "out"))

@@ -9,7 +9,6 @@ The recording holds, per task, `observation` [episodes, 51, 25], `action` [episo
 its recorded object position, and its actions are replayed open loop.
 """
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from cgm_jax import envs
 from cgm_jax.envs.fetch import FetchEnvironment
+from experiments.command_line import paths
 from experiments.table import write_table
 
 ENTRIES = [
@@ -125,6 +125,4 @@ def main(recording: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit(__doc__)
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(*paths("experiments.physics.fidelity", __doc__, "recording", "out"))

@@ -8,7 +8,6 @@ each round.
 """
 
 import dataclasses
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from cgm_jax import envs
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.physics.native import NativePhysics
 from cgm_jax.envs.scene import load_scene
+from experiments.command_line import paths
 from experiments.physics.fidelity import Replay, difference, errors, replay_task, replayer
 from experiments.physics.scripted import CONTROLLERS, Player, success
 from experiments.table import write_table
@@ -110,6 +110,4 @@ def main(recording: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit(__doc__)
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(*paths("experiments.physics.timestep", __doc__, "recording", "out"))

@@ -11,6 +11,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 NOTEBOOK = ROOT / "docs" / "first_run.ipynb"
+README, REPORT = ROOT / "README.md", ROOT / "experiments" / "README.md"
+REPOSITORY = [README, REPORT, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
+LINK = re.compile(r"\]\((?!http)([^)#\s]*)(?:#([^)]*))?\)")
 SHOWN = {
     "environment.html": {"Semi", "velocity", "make_trainer"},
     "curriculum.html": {"Growing", "MyState"},
@@ -19,17 +22,40 @@ SHOWN = {
 """Words that pages have from files that are put into them."""
 
 
+@pytest.mark.parametrize("page", [*PAGES, *REPOSITORY], ids=lambda page: page.stem)
+def test_links_lead_somewhere_in_a_checkout(page: Path) -> None:
+    for target, anchor in LINK.findall(without_code(page.read_text())):
+        path = page.parent / target if target else page
+        assert path.exists(), target
+        # GitHub does not follow symlinks.
+        assert path.resolve().as_posix().endswith(target.strip("./")), target
+        if anchor:
+            assert anchor in {slug for slugs in anchors(path) for slug in slugs}, anchor
+
+
+@pytest.mark.parametrize("page", [*PAGES, README, REPORT], ids=lambda page: page.stem)
+def test_a_heading_that_is_linked_has_the_same_anchor_on_github_and_on_the_site(page: Path) -> None:
+    for target, anchor in LINK.findall(without_code(page.read_text())):
+        if anchor:
+            path = page.parent / target if target else page
+            assert (anchor, anchor) in anchors(path), anchor
+
+
+def anchors(page: Path) -> set[tuple[str, str]]:
+    """Of every heading: its anchor on GitHub, and by Python-Markdown's rule."""
+    headings = re.findall(r"^#+ (.+)$", without_code(page.read_text()), re.MULTILINE)
+    plain = [re.sub(r"[^\w\s-]", "", heading).lower() for heading in headings]
+    return {(line.replace(" ", "-"), re.sub(r"[-\s]+", "-", line.strip())) for line in plain}
+
+
+def without_code(text: str) -> str:
+    """A page without its blocks of code, which may hold what looks like a heading or a link."""
+    return re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_links_and_snippets_lead_somewhere(page: Path) -> None:
+def test_snippets_are_there(page: Path) -> None:
     text = page.read_text()
-    for target in re.findall(r"\]\((?!http)([^)#]+)\)", text):
-        places = {"results": ROOT / "experiments", "api": ROOT / "cgm_jax"}
-        folder = places.get(target.split("/")[0].removesuffix(".md"), ROOT / "docs")
-        path = folder / (
-            target.removeprefix("api/").removesuffix(".md") if "api/" in target else target
-        )
-        if target != "results.md":  # made of experiments/README.md
-            assert path.exists(), target
     for target in re.findall(r'^--8<-- "([^"]+)"', text, re.MULTILINE):
         name, _, section = target.partition(":")
         source = (ROOT / name).read_text()
@@ -59,7 +85,7 @@ def test_the_site_builds_strictly(tmp_path: Path) -> None:
     build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     result = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
-    assert "p(m) ~ (1 - |c_m - c_g|)^kappa" in (tmp_path / "method.html").read_text()
+    assert "is proportional to (1 - |c_m - c_g|)^kappa" in (tmp_path / "method.html").read_text()
     assert "normalised_limit" in (tmp_path / "index.html").read_text()  # the README's lines
     for page, shown in SHOWN.items():
         assert shown <= {*re.findall(r"\w+", (tmp_path / page).read_text())}
