@@ -128,16 +128,23 @@ class RunDirectory:
     def check_fresh(self) -> None:
         """Check that no sweep has been begun here, whatever is left of it, and no launch.
 
+        Nor may there be a file that a sweep would replace or remove, whoever has made it.
+
         Raises:
-            SettingError: one has.
+            SettingError: one has, or there is.
         """
         try:
             held = [name for name in (CONFIG, METRICS, LAUNCH) if (self.path / name).exists()]
+            places = [self.path / name for name in (TABLE, *FOLDERS)]
+            files = itertools.chain(places, *(place.rglob("*") for place in places))
+            found = next((file for file in files if file.is_file()), None)
         except OSError:  # such as a name that is too long, as making the directory will say
             return
         if held:
             what = "a launch" if held == [LAUNCH] else "a sweep"
             raise SettingError(f"out: {self.path} already holds {what}; name another directory")
+        if found is not None:
+            raise SettingError(f"out: {found} lies where a sweep writes; name another directory")
 
     def remove_partials(self) -> None:
         """Remove what killed processes have left half written; whoever has the lock may."""

@@ -386,6 +386,32 @@ def test_a_directory_that_is_refused_is_left_as_it_was(name: str, tmp_path: Path
     assert (tmp_path / name).read_text() == "theirs"
 
 
+@pytest.mark.parametrize(
+    "name", ["metrics.csv", "figures/mine.png", "policies/a/b", "tracking/thesis.partial"]
+)
+def test_a_folder_with_files_where_a_sweep_writes_is_refused(name: str, tmp_path: Path) -> None:
+    theirs = tmp_path / name
+    theirs.parent.mkdir(parents=True, exist_ok=True)
+    theirs.write_text("theirs")
+    with (
+        pytest.raises(
+            SettingError, match=f"^out: {theirs} lies where a sweep writes; name another"
+        ),
+        RunDirectory.claimed(tmp_path, fresh=True),
+    ):
+        pass
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [theirs]
+    assert theirs.read_text() == "theirs"
+
+
+def test_a_folder_with_other_files_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "checkpoints").mkdir()
+    for name in ("notes.txt", "report.html"):
+        (tmp_path / name).write_text("theirs")
+    with RunDirectory.claimed(tmp_path, fresh=True):
+        assert (tmp_path / "notes.txt").read_text() == "theirs"
+
+
 def test_what_another_process_has_begun_meanwhile_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
