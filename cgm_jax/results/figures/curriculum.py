@@ -40,6 +40,7 @@ from cgm_jax.results.figures.runs import (
     differing,
     grouped,
     rows_of,
+    rows_while_all_ran,
     runs_of,
 )
 
@@ -50,7 +51,7 @@ def curriculum(rows: Rows) -> Figure:
     """All that curricula report, a panel per environment, curriculum and key.
 
     Lines are medians over the seeds of every setting; heat maps are means over the seeds of the
-    setting with most success, which their titles name.
+    setting with most success, which their titles name. Both end where the first of the seeds did.
 
     Raises:
         NothingToDraw: no curriculum reports anything.
@@ -97,7 +98,7 @@ def _draw_number(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Seque
     settings = by_settings(runs)
     drawn = zip(settings, _labels(runs, names), spread_colours(len(settings)), strict=True)
     for same, label, colour in drawn:
-        steps, curves = curves_of(rows_of(same), lambda row: row.get(key))
+        steps, curves = curves_of(rows_while_all_ran(same), lambda row: row.get(key))
         draw_quartiles(panel, steps, curves, label + remarks(same), colour)
     first = runs[0].settings
     of_whom = [setting_text(name, first[name]) for name in ("env", "curriculum")]
@@ -107,12 +108,15 @@ def _draw_number(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Seque
 
 
 def _draw_array(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequence[str]) -> None:
-    rows = [row for row in rows_of(runs) if isinstance(row.get(key), list)]
+    rows = [row for row in rows_while_all_ran(runs) if isinstance(row.get(key), list)]
     sizes = {np.size(row[key]) for row in rows}
     told = list(dict.fromkeys([*ALWAYS, *names]))
     further = [f"mean of {len(runs)} runs"] if len(runs) > 1 else []
     panel.set_title(title_text(runs, told, further + remark_parts(runs)), fontsize=10)
     panel.grid(visible=False)
+    if not rows:
+        say_empty(panel, f"{key}: no value while all runs trained")
+        return
     (size,) = sizes
     columns = [curves_of(rows, lambda row, i=i: _flat(row[key])[i]) for i in range(size)]
     steps = columns[0][0]

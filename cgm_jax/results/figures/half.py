@@ -14,6 +14,7 @@ from cgm_jax.results.figures.layout import Line, Panel, arrange, colour_setting,
 from cgm_jax.results.figures.panels import add_legend, legend_width, make_panels
 from cgm_jax.results.figures.runs import (
     NothingToDraw,
+    Row,
     Rows,
     TrainedRun,
     check_seeds,
@@ -35,7 +36,8 @@ class Point(NamedTuple):
         median: of that.
         high: upper quartile.
         reached: whether the median run did.
-        last: how long they were trained.
+        last: how long they were trained; if the median run did not, how long it was trained at
+            least without.
     """
 
     low: float
@@ -157,7 +159,15 @@ def _point(runs: Sequence[TrainedRun], unit: str) -> Point:
     reached = [first_to_hold(run.rows, 0.5) for run in runs]
     low, median, high = quartiles([row[unit] if row else math.inf for row in reached])
     last = max(run.rows[-1][unit] for run in runs)
+    if math.isinf(median):  # some may have left, or been stopped, long before others
+        without = [_last_without(run, row)[unit] for run, row in zip(runs, reached, strict=True)]
+        last = sorted(without)[len(runs) // 2]
     return Point(min(low, last), min(median, last), min(high, last), math.isfinite(median), last)
+
+
+def _last_without(run: TrainedRun, reached: Row | None) -> Row:
+    """The last row of a run before the one in which it held 50 %, if it ever did."""
+    return run.rows[-1 if reached is None else run.rows.index(reached) - 1]
 
 
 def _decorate(

@@ -28,6 +28,7 @@ from cgm_jax.results.figures.runs import (
     grouped,
     mean_success,
     rows_of,
+    rows_while_all_ran,
     runs_of,
 )
 
@@ -40,7 +41,8 @@ KINDS = (("mask_rate_estimated", "estimated"), ("mask_rate_training", "training"
 def mask_success(rows: Rows) -> Figure:
     """Estimated and training success per mask, for each curriculum of masks in its best setting.
 
-    The paper's Fig. 5. A pair of panels per environment and curriculum.
+    The paper's Fig. 5. A pair of panels per environment and curriculum; medians over seeds, up to
+    where the first of them ended.
 
     Raises:
         NothingToDraw: no run drew masks, or goals have too many dimensions to count by mask.
@@ -76,7 +78,8 @@ def best_setting(runs: Sequence[TrainedRun]) -> list[TrainedRun]:
     Raises:
         ValueError: runs differ in what no row tells.
     """
-    return max(by_settings(runs), key=mean_success)
+    horizon = max(run.last_steps for run in runs)
+    return max(by_settings(runs), key=lambda same: mean_success(same, horizon))
 
 
 def mask_label(mask: int, size: int) -> str:
@@ -97,7 +100,7 @@ def _draws_masks(run: TrainedRun) -> bool:
 
 
 def _draw_masks(panel: Axes, runs: Sequence[TrainedRun], name: str) -> None:
-    rows = [row for row in rows_of(runs) if row.get(name)]
+    rows = [row for row in rows_while_all_ran(runs) if row.get(name)]
     if not any(rate is not None for row in rows for rate in row[name]):
         say_empty(panel, "no value in any epoch")
         return

@@ -141,9 +141,27 @@ def rows_of(runs: Sequence[TrainedRun]) -> list[Row]:
     return list(itertools.chain.from_iterable(run.rows for run in runs))
 
 
-def mean_success(runs: Sequence[TrainedRun]) -> float:
-    """Mean success over all evaluations, where no valid episode is no success."""
-    return float(np.mean([row["success_rate"] or 0.0 for row in rows_of(runs)]))
+def rows_while_all_ran(runs: Sequence[TrainedRun]) -> list[Row]:
+    """Their rows up to where the first of them ended.
+
+    What is drawn over several runs ends there: the rest would be of the slowest alone, or the best.
+    """
+    first_end = min(run.last_steps for run in runs)
+    return [row for row in rows_of(runs) if row["env_steps"] <= first_end]
+
+
+def mean_success(runs: Sequence[TrainedRun], horizon: int) -> float:
+    """Mean success of runs over so many environment steps, at least as many as they took.
+
+    One that ended before, as it may once it holds a success, counts on with its last one. An
+    evaluation without a valid episode is no success.
+    """
+    total = 0.0
+    for run in runs:
+        steps = [0, *(row["env_steps"] for row in run.rows)]
+        rates = [row["success_rate"] or 0.0 for row in run.rows]
+        total += float(np.diff(steps) @ rates) + rates[-1] * (horizon - steps[-1])
+    return total / (len(runs) * horizon)
 
 
 def grouped(items: Sequence[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:

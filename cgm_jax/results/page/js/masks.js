@@ -16,8 +16,16 @@ const hasMasks = (group) => runsOf(group).some((run) =>
 function groupOf(groups) {
   const chosen = report.groups[choices.group];
   if (groups.includes(chosen)) return chosen;
-  const success = (group) => mean(runsOf(group).map((run) => mean(run.columns.success_rate.map((rate) => rate ?? 0))));
+  const horizon = Math.max(...groups.flatMap(runsOf).map((run) => run.columns.env_steps.at(-1)));
+  const success = (group) => mean(runsOf(group).map((run) => successOver(run, horizon)));
   return d3.greatest(groups, (a, b) => success(a) - success(b));
+}
+
+/** Sum of a run's success over so many environment steps; one that ended before counts on with its last. */
+function successOver({ columns }, horizon) {
+  const rates = columns.success_rate.map((rate) => rate ?? 0);
+  const during = d3.sum(rates, (rate, i) => rate * (columns.env_steps[i] - (columns.env_steps[i - 1] ?? 0)));
+  return during + rates.at(-1) * (horizon - columns.env_steps.at(-1));
 }
 
 function groupSelection(groups, chosen) {

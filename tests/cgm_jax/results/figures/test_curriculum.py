@@ -103,6 +103,24 @@ def test_a_heat_map_is_the_mean_over_seeds_of_the_best_setting_which_it_names() 
     ]
 
 
+def test_numbers_and_heat_maps_end_where_the_first_of_the_seeds_did() -> None:
+    rows = []
+    for seed, epochs, value in ((0, 3, 1.0), (1, 3, 1.0), (2, 10, 0.4)):
+        rows += run([0.5] * epochs, seed, **reporting(alpha=value, level_probability=[value]))
+    alpha, levels = panels(curriculum(rows))
+    assert heights(alpha, "median of 3 runs") == [1.0] * 3
+    np.testing.assert_allclose(heat_map(levels), [[0.8] * 3])
+
+
+def test_an_array_that_comes_after_the_first_seed_ended_says_so() -> None:
+    late = reporting(level_probability=lambda epoch: [0.5] if epoch > 2 else None)
+    rows = [*run([0.9, 0.9], 0, **late), *run([0.1] * 4, 1, **late)]
+    (panel,) = panels(curriculum(rows))
+    assert [text.get_text() for text in panel.texts] == [
+        "level_probability: no value while all runs trained"
+    ]
+
+
 def test_an_array_without_any_value_says_so() -> None:
     (panel,) = panels(curriculum(run([0.5], **reporting(level_progress=[None, None]))))
     assert [text.get_text() for text in panel.texts] == ["level_progress: no value in any epoch"]

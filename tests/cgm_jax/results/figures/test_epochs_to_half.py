@@ -34,6 +34,18 @@ def test_medians_over_seeds_stand_over_c_g_and_the_baseline_is_a_level_line() ->
     assert texts(panel) == ["not within 4 epochs (open)", "an epoch: 1,000 env_steps"]
 
 
+def test_an_open_point_stands_no_later_than_the_median_run_was_trained() -> None:
+    """Two of three seeds left at epoch 4: nothing is known of the median after it."""
+    rates = {0: [0.3] * 4, 1: [0.3] * 4, 2: [0.3] * 60}
+    (panel,) = panels(epochs_to_half(sweep(lambda seed, **_: rates[seed], seeds=3, c_g=[0.1, 0.4])))
+    assert points(panel, "median over seeds").tolist() == [[10, 4], [40, 4]]
+    assert texts(panel)[0] == "not within 4 epochs (open)"
+    # One left, one held 50 % at 5, one never did in 60: the median run did not within 4.
+    rates = {0: [0.3] * 4, 1: [0.3, 0.3, 0.5, 0.5, 0.5], 2: [0.3] * 60}
+    (panel,) = panels(epochs_to_half(sweep(lambda seed, **_: rates[seed], seeds=3, c_g=[0.1, 0.4])))
+    assert points(panel, "median over seeds").tolist() == [[10, 4], [40, 4]]
+
+
 def test_no_end_is_marked_where_all_medians_get_there() -> None:
     (panel,) = panels(epochs_to_half(sweep(lambda **_: AT_3, c_g=[0.1, 0.2])))
     assert texts(panel) == ["an epoch: 1,000 env_steps"]

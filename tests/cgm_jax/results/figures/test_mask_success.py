@@ -63,6 +63,20 @@ def test_a_pair_of_panels_shows_the_best_setting_of_a_curriculum() -> None:
     assert [text.get_text() for text in panels(figure)[2].texts] == ["no value in any epoch"]
 
 
+def test_a_setting_that_left_early_with_success_is_the_best() -> None:
+    rows = run([0.0, 0.2, 0.5, 0.6, 0.6], c_g=0.1, **masked(2))
+    rows += run([0.0, 0.1, *[0.45] * 58], c_g=0.4, **masked(2))
+    assert "$c_g$ = 10 %" in titles(mask_success(rows))[0]
+
+
+def test_lines_end_where_the_first_of_the_seeds_did() -> None:
+    rows = [*run([0.5] * 3, 0, **masked(2)), *run([0.5] * 3, 1, **masked(2))]
+    rows += run([0.1] * 10, 2, **masked(2))
+    estimated, training = panels(mask_success(rows))
+    assert heights(estimated, "1 2") == [0.75] * 3
+    np.testing.assert_equal(heights(training, "1 2"), [0.75, np.nan, 0.75])
+
+
 def test_masks_that_were_never_drawn_have_no_line() -> None:
     rates = {**masked(3), "mask_rate_training": [None] * 7 + [0.2]}
     estimated, training = panels(mask_success(run([0.5, 0.5], **rates)))
