@@ -97,7 +97,8 @@ def to_csv(rows: Sequence[Row]) -> str:
     tables = [dict(_cells(row)) for row in rows]
     columns = list(dict.fromkeys(name for cells in tables for name in cells))
     # What is a list in some rows and null in others has the columns of the list only.
-    columns = [name for name in columns if f"{name}_0" not in columns]
+    spread = {name for row, cells in zip(rows, tables, strict=True) for name in row.keys() - cells}
+    columns = [name for name in columns if name not in spread]
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -126,6 +127,10 @@ def _entries(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield from _entries(f"{name}_{index}", entry)
 
 
+def _seven_digits(value: float) -> float:
+    return float(f"{value:.7g}")
+
+
 def _plain(value: Any) -> Any:
     """Arrays to lists and numbers, NaN and infinities to None."""
     if isinstance(value, dict):
@@ -135,7 +140,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         array = np.asarray(value)
         if np.issubdtype(array.dtype, np.floating):  # float32 has seven digits
-            array = array.astype(np.float64).round(7)
+            return _plain(np.vectorize(_seven_digits, otypes=[float])(array).tolist())
         return _plain(array.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None

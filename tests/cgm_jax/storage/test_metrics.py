@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,21 @@ def test_a_row_has_only_plain_values() -> None:
         *(str, list, float, int, list),
         *(type(None), bool, type(None)),
     ]
+
+
+@pytest.mark.parametrize(
+    ("value", "kept"),
+    [
+        (np.float32(3.2e-8), 3.2e-8),
+        (np.float32(1.234567e-5), 1.234567e-5),
+        (np.float32(123456.7), 123456.7),
+        (np.float64(1 / 3), 0.3333333),
+        (np.array([1e-9, 0.5, np.inf, -0.0], np.float32), [1e-9, 0.5, None, 0.0]),
+        (np.zeros((2, 0)), [[], []]),
+    ],
+)
+def test_numbers_of_any_size_keep_seven_digits(value: Any, kept: Any) -> None:
+    assert plain_row({"value": value}) == {"value": kept}
 
 
 def test_rows_become_lines_of_json_and_lines_the_same_rows() -> None:
@@ -128,6 +144,10 @@ def test_a_table_has_a_cell_per_number_and_a_word_per_swept_setting() -> None:
         "mask_share_1": "",
     }
     assert (other["hidden_layers"], other["mask_share_0"]) == ("8", "")
+
+
+def test_a_number_keeps_its_column_beside_one_that_is_named_as_if_it_were_a_list() -> None:
+    assert to_csv([{"goal": 0.5, "goal_0": 0.25}]) == "goal,goal_0\n0.5,0.25\n"
 
 
 def test_a_table_names_the_cells_of_lists_of_lists_and_quotes_words_with_commas() -> None:
