@@ -18,7 +18,7 @@ from cgm_jax.launching.directory import ANY_CLUSTER, Launch, absolute_path
 from cgm_jax.launching.merged import check_merged
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, check_separated, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
-from cgm_jax.machine.commands import shell_command
+from cgm_jax.machine.commands import begun_with, shell_command
 from cgm_jax.results.merging import differences, read_parts, write_merged
 from cgm_jax.storage.files import refusal
 from cgm_jax.storage.layout import LAUNCH
@@ -56,7 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except OSError as error:
             return _refused(error, launch, begun=not fresh)
         interruption.expendable = False
-        return _run(launch, engine, groups, directory, interruption)
+        command = begun_with("cgm_jax.launch", words)
+        return _run(launch, engine, groups, directory, interruption, command)
 
 
 def _engine(launch: Launch) -> Engine:
@@ -108,6 +109,7 @@ def _run(
     groups: Sequence[Group],
     directory: RunDirectory,
     interruption: Interruption,
+    command: Sequence[str],
 ) -> int:
     """Train all parts and merge them."""
     if directory.holds_sweep():
@@ -128,7 +130,7 @@ def _run(
     if names := differences(parts):
         print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)
     try:
-        rows = write_merged(parts, directory)
+        rows = write_merged(parts, directory, command)
     except OSError as error:
         return _refused(error, launch, begun=True)
     return conclude(directory, rows)

@@ -15,10 +15,11 @@ from cgm_jax.host.command_line import bring_config_back, owns_process, parse, ru
 from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
+from cgm_jax.machine.commands import begun_with
 from cgm_jax.results.merging import differences, read_parts, write_merged
 from cgm_jax.storage.files import refusal
 from cgm_jax.storage.looking import is_there, look_at
-from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.run_directory import RunDirectory, claiming
 
 
 @dataclass(kw_only=True)
@@ -59,8 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Made beside and then renamed, so that `out` is whole or not there.
         making = out.parent / f".{out.name}.merging"
         try:
+            with claiming(out):
+                making.mkdir(parents=True, exist_ok=True)
             with RunDirectory.claimed(making, fresh=False) as directory:
-                rows = write_merged(parts, directory)
+                rows = write_merged(parts, directory, begun_with("cgm_jax.merge", arguments))
             making.rename(out)
         except OSError as error:
             with contextlib.suppress(OSError):

@@ -7,6 +7,7 @@ from typing import ClassVar
 from cgm_jax.host.asked import asked_for
 from cgm_jax.host.command_line import TrainingOptions, parse, run_program
 from cgm_jax.host.session import train_groups
+from cgm_jax.machine.commands import begun_with
 
 
 @dataclass(kw_only=True)
@@ -33,7 +34,8 @@ class SweepOptions(TrainingOptions):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SweepOptions, arguments, "python -m cgm_jax.sweep")
-    return train_groups(options, asked_for(options))
+    command = begun_with("cgm_jax.sweep", arguments)
+    return train_groups(options, asked_for(options), command)
 
 
 if __name__ == "__main__":

@@ -176,7 +176,10 @@ def chosen_values(
     grid = given_settings(options)
     if named_now:
         name_own_code(grid)
-    return {**grid, **_set_values(options.set, {**(components or {}), **grid})}
+    values = _set_values(options.set, {**(components or {}), **grid})
+    for name in values.keys() & grid.keys():
+        raise SettingError(f"set: {name} is given as an option, too")
+    return {**grid, **values}
 
 
 def _set_values(texts: Sequence[str], chosen: Mapping[str, Sequence[str]]) -> Grid:

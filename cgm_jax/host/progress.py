@@ -1,6 +1,7 @@
 """What a program shows while it runs."""
 
 import math
+import statistics
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -188,7 +189,7 @@ def _success_of_all(rates: Sequence[float]) -> str:
     if len(rates) == 1:
         return f"success {_percent(rates[0])}"
     spread = f"({_percent(rates[0])} to {_percent(rates[-1])})"
-    return f"success median {_percent(rates[len(rates) // 2])} of {len(rates)} runs {spread}"
+    return f"success median {_percent(statistics.median(rates))} of {len(rates)} runs {spread}"
 
 
 def summary_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:

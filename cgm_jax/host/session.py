@@ -47,12 +47,13 @@ RUNS = Path("runs")
 """In which a directory is made where none is named."""
 
 
-def train_groups(options: TrainingOptions, asked: Asked) -> int:
+def train_groups(options: TrainingOptions, asked: Asked, command: Sequence[str]) -> int:
     """Train groups of runs, from the beginning or from where they were stopped.
 
     Args:
         options: where to, and how often to write checkpoints.
         asked: what to train.
+        command: that asks for it, which a new sweep records.
 
     Returns:
         The exit code.
@@ -66,7 +67,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
         if options.track is not None:
             find_tracker(options.track)
         try:
-            return _train_as_asked(options, asked, interruption, shown, progress)
+            return _train_as_asked(options, asked, command, interruption, shown, progress)
         except ReadError as error:
             return _refused(error, options, options.resume or options.out)
 
@@ -74,6 +75,7 @@ def train_groups(options: TrainingOptions, asked: Asked) -> int:
 def _train_as_asked(
     options: TrainingOptions,
     asked: Asked,
+    command: Sequence[str],
     interruption: Interruption,
     shown: ExitStack,
     progress: SweepProgress,
@@ -117,7 +119,9 @@ def _train_as_asked(
                 if start is not None:
                     directory.write_start(start)
                 groups = [job.group for job in jobs]
-                directory.config.write(groups, asked.preset, device, asked.shard, asked.origin)
+                directory.config.write(
+                    groups, asked.preset, device, asked.shard, asked.origin, command
+                )
             else:
                 notes += _notes_on_resuming(directory, jobs, device, recorded, moved)
                 _record_shard(directory, asked.shard)

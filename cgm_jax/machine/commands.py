@@ -1,8 +1,19 @@
-"""Commands to be typed as they are printed."""
+"""Commands: what to type, and what a program was begun with."""
 
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+
+
+def begun_with(program: str, arguments: Sequence[str] | None) -> list[str]:
+    """The command that does what a call of a program's `main` does.
+
+    Args:
+        program: the module, such as cgm_jax.sweep.
+        arguments: of `main`; None for those of the command line.
+    """
+    return ["python", "-m", program, *(sys.argv[1:] if arguments is None else arguments)]
 
 
 def shell_command(program: str, *arguments: str | Path) -> str:

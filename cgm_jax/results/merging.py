@@ -10,7 +10,6 @@ import json
 import os
 import re
 import shutil
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -219,10 +218,13 @@ def _compared(part: Part, name: str) -> Any:
     return sorted([Path(path).name, str(digest)] for path, digest in entry.items())
 
 
-def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:
+def write_merged(
+    parts: Sequence[Part], directory: RunDirectory, command: Sequence[str]
+) -> list[Row]:
     """Put parts together in a directory that holds no sweep yet; return all rows.
 
-    The config is written last: without it a directory holds no sweep, whatever else is there.
+    The config is written last: without it a directory holds no sweep, whatever else is there. It
+    names the command that asked for this.
 
     Raises:
         OSError: it cannot be written.
@@ -235,7 +237,7 @@ def write_merged(parts: Sequence[Part], directory: RunDirectory) -> list[Row]:
     (out / START).unlink(missing_ok=True)
     if parts[0].start is not None:
         _copy(parts[0].path / START, out / START)
-    config = _merged_config(parts)
+    config = _merged_config(parts, command)
     data = (json.dumps(config, indent=2) + "\n").encode()
     pieces = [piece for part in parts for piece in part.pieces]
     for index, piece in enumerate(pieces):
@@ -264,11 +266,11 @@ def _policies(part: Part) -> Iterator[Path]:
             yield Path("improvements") / path.name
 
 
-def _merged_config(parts: Sequence[Part]) -> dict[str, Any]:
+def _merged_config(parts: Sequence[Part], command: Sequence[str]) -> dict[str, Any]:
     config = {name: value for name, value in parts[0].config.items() if name != "shard"}
     return {
         **config,
-        "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
+        "command": list(command),
         "started": min(str(part.config.get("started", "")) for part in parts),
         "groups": [group for part in parts for group in part.config["groups"]],
         "parts": [

@@ -6,7 +6,6 @@ the user has named it (config/named.py).
 
 import json
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -62,6 +61,7 @@ class SweepConfig:
         device: str,
         shard: Shard | None = None,
         origin: str | None = None,
+        command: Sequence[str] = (),
     ) -> None:
         """Record how to run the sweep again.
 
@@ -71,6 +71,7 @@ class SweepConfig:
             device: what JAX computes on.
             shard: of which sweep the groups are a part, if they are one.
             origin: what it starts from, of which start.npz has the arrays; None for from scratch.
+            command: that began it; empty if none did.
 
         Raises:
             SettingError: a run's name cannot be that of a file.
@@ -81,7 +82,7 @@ class SweepConfig:
         self.replace(
             {
                 "format": FORMAT,
-                "command": ["python", "-m", f"cgm_jax.{Path(sys.argv[0]).stem}", *sys.argv[1:]],
+                "command": list(command),
                 "preset": preset,
                 "started": _now(),
                 **({} if shard is None else {"shard": asdict(shard)}),

@@ -96,11 +96,16 @@ def test_lines_in_a_log_are_as_long_as_what_they_say(
     with SweepProgress() as progress:
         progress.expect(10)
         progress.epoch(1, rows)
+        two = [{**row, "success_rate": rate} for row, rate in zip(rows, (0.2, 0.7), strict=False)]
+        progress.epoch(2, two)
     with JointProgress({1: Path("none")}, {1: 10}) as joint:
         joint._next_line = 0.0
         joint.show([], 1)
-    epoch, parts = capsys.readouterr().err.splitlines()
+    epoch, even, parts = capsys.readouterr().err.splitlines()
     assert epoch.startswith(
         "epoch 1: 1,000,000,000 environment steps, success median 50 % of 3 runs"
+    )
+    assert even.startswith(
+        "epoch 2: 1,000,000,000 environment steps, success median 45 % of 2 runs (20 % to 70 %)"
     )
     assert parts.startswith("0 % of 10 epochs over all runs; 0 of 1 parts done, 1 running, 0 s")

@@ -117,6 +117,9 @@ def test_main_trains_in_a_thread_and_inside_a_running_event_loop(
     assert {number: signal.getsignal(number) for number in handlers} == handlers
     assert_same_results(whole, tmp_path / "thread")
     assert_same_results(whole, tmp_path / "notebook")
+    command = json.loads((tmp_path / "notebook/config.json").read_text())["command"]
+    assert command[:3] == ["python", "-m", "cgm_jax.sweep"]
+    assert command[-2:] == ["--out", str(tmp_path / "notebook")]  # and not what pytest was given
 
 
 def test_one_at_a_time_runs_leave_once_they_hold_the_success_and_stay_away(tmp_path: Path) -> None:

@@ -153,3 +153,9 @@ def test_a_word_that_is_no_value_of_its_setting_is_refused_by_name(
     options = parse(SweepOptions, [*own, "--set", word], "")
     with pytest.raises(SettingError, match=message):
         chosen_values(options)
+
+
+def test_a_setting_that_is_an_option_too_is_refused() -> None:
+    options = parse(SweepOptions, ["--set", "c_g=0.9", "--c-g", "0.2"], "")
+    with pytest.raises(SettingError, match=r"^set: c_g is given as an option, too$"):
+        chosen_values(options)

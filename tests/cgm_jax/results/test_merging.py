@@ -181,9 +181,18 @@ def test_a_full_disk_ends_a_merge_with_74_and_leaves_nothing(
         assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_a_place_that_cannot_be_is_refused(parts: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    line = refused(tmp_path, *parts, "--out", tmp_path / "file" / "out")
+    assert line == f"out: cannot write to {tmp_path / 'file' / 'out'}: Not a directory"
+
+
 def test_where_a_part_has_a_table_the_whole_has_one(parts: list[Path], tmp_path: Path) -> None:
     assert run(*parts, "--out", tmp_path / "without") == 0
     assert not (tmp_path / "without/metrics.csv").exists()
+    command = json.loads((tmp_path / "without/config.json").read_text())["command"]
+    words = [*map(str, parts), "--out", str(tmp_path / "without")]
+    assert command == ["python", "-m", "cgm_jax.merge", *words]
     RunDirectory(parts[1]).write_csv()
     assert run(*parts, "--out", tmp_path / "with") == 0
     with (tmp_path / "with/metrics.csv").open() as file:
