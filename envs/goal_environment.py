@@ -72,6 +72,8 @@ class JudgingEnvironment(GoalEnvironment, Protocol):
     `goal_reward` replaces the reward of 0 for success and -1 otherwise in what the agents learn
     from; its values lie within `reward_range`, a pair (least, greatest).
     `is_terminal` ends episodes early: whatever the goal, nothing is to be had after that state.
+    With rewards of 0 and -1 this makes an early failure worth more than a late success, since no
+    step after it costs anything; so an episode that failed should rather go on where it did.
 
     Under a mask the functions of goals get a desired goal that, in masked dimensions, is the
     achieved one. Hindsight asks them about other goals than those of the episode.

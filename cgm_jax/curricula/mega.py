@@ -10,8 +10,8 @@ program (mrl): bandwidth 0.1, b = -3, KL as the mean over draws from p_dg; the c
 where at least 70 % of ten episodes succeed and rises by 1 where at most 30 % do, within [-(1 -
 gamma^(0.8 T)) / (1 - gamma), -3], gamma at most 0.99, and never below a candidate's lowest Q so
 far; if no candidate reaches it, that of the highest Q. What differs: success is that of the last
-step, where mrl's is that of any step; Q is the mean over critics; mrl takes 500 candidates and
-10,000 goals behind a density, and asks for p_dg at the very goals that are behind it. That makes KL
+step, where mrl's is that of any step; Q is the mean over critics; mrl has 10,000 goals behind p_ag,
+and asks for p_dg at the very goals, a thousand as here, that are behind it. That makes KL
 too large, by 4 for equal normal distributions of three dimensions and a thousand goals; here each
 goal is left out of its own density. mrl's random exploration after success ("go explore") is not
 part of choosing goals and is left out. With a large `omega_bonus` OMEGA is MEGA.

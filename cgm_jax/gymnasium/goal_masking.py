@@ -37,7 +37,9 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
     Each reset draws a mask (Eppe, Magg and Wermter 2019); each observation's `desired_goal` then
     holds the goal in the kept dimensions and the goal achieved at that step in the masked ones.
     The reward is the paper's, 0 where the masked goal is achieved and -1 elsewhere, whatever the
-    environment's own. When an episode ends is left to the environment.
+    environment's own. When an episode ends is left to the environment; one that terminates on
+    failure makes that worth more than a late success, since no step after it costs anything, and so
+    should rather go on where it failed.
 
     `info` says at every step `mask` [n] (True where the goal counts), `masked_success`, and of the
     goal without mask `is_success` (the environment's own where it has one) and `subgoal_success`

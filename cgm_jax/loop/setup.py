@@ -151,6 +151,10 @@ def _check_together(setup: Setup, hyper: Hyperparameters, critics: int) -> None:
         raise SettingError("relabelling: stages have rewards of -1 or 0, and env has its own")
     if curriculum.needs_sparse_rewards and has_own_rewards:
         raise SettingError(f"curriculum: {name} needs rewards of -1 or 0, and env has its own")
+    if curriculum.shows_threshold and has_own_rewards:
+        raise SettingError(
+            f"curriculum: {name} varies the distance threshold, which env's rewards do not follow"
+        )
     if curriculum.shows_threshold and has_own_rules(env):
         raise SettingError(
             f"curriculum: {name} varies the distance threshold, but env has a rule of success "

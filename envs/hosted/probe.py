@@ -23,11 +23,13 @@ class Episode:
     Attributes:
         shown: by entry, [T + 1, n] float32.
         said: `is_success` of each row, None where the environment does not say.
+        terminated: whether the environment ended it, and did not cut it off.
         remarks: lines about what is allowed but hardly meant.
     """
 
     shown: dict[str, np.ndarray]
     said: list[bool | None]
+    terminated: bool
     remarks: list[str]
 
 
@@ -90,7 +92,7 @@ def play(env: Any, length: int) -> Episode:
     """
     env.action_space.seed(0)
     shown = [_entries(env, env.reset(seed=0)[0])]
-    actions, cut = [], False
+    actions, terminated, cut = [], False, False
     said: list[bool | None] = [None]
     while len(actions) < length:
         actions.append(env.action_space.sample())
@@ -115,7 +117,7 @@ def play(env: Any, length: int) -> Episode:
             f"reset and step of {env.spec.id} give other values for the same seed and action; "
             "what is trained with them cannot be repeated, nor resumed to the same bits"
         )
-    return Episode(arrays, said, remarks)
+    return Episode(arrays, said, bool(terminated), remarks)
 
 
 def _entries(env: Any, shown: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -153,6 +153,12 @@ class Rows:
             remarks.append(
                 f"success is judged by {self._rule.name} of {self._id}, not by is_success"
             )
+        achieved, desired = (episode.shown[f"{kind}_goal"][-1:] for kind in ("achieved", "desired"))
+        if episode.terminated and not self._rule.success(achieved, desired)[0]:
+            remarks.append(
+                f"{self._id} ended an episode without success; where a step costs 1 and nothing "
+                "comes after the end, to end early may be worth more than to go on"
+            )
         return {
             "observation_size": sizes["observation"],
             "goal_size": sizes["desired_goal"],

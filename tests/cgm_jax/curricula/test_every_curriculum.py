@@ -212,7 +212,10 @@ def test_no_type_is_promoted(name: str) -> None:
 def test_with_64_bits_its_state_keeps_its_types(name: str) -> None:
     with jax.enable_x64(True):
         trainer, hyper = make_trainer(ENV, SETTINGS), two_runs(name)[0]
-        jax.eval_shape(trainer.epoch, jax.eval_shape(trainer.init, hyper), hyper)
+        before = jax.eval_shape(trainer.init, hyper)
+        after, _ = jax.eval_shape(trainer.epoch, before, hyper)
+    kept = jax.tree.map(lambda one, other: one.dtype == other.dtype, before, after)
+    assert all(jax.tree.leaves(kept))
 
 
 def test_a_search_for_nan_does_not_find_what_it_does_not_know_yet(name: str) -> None:

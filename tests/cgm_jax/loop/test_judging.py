@@ -253,9 +253,23 @@ def test_no_type_is_promoted_where_episodes_end(values: dict[str, Any]) -> None:
     assert_no_type_is_promoted(trainer, stack([tiny(**values)]))
 
 
-def test_curricula_that_vary_the_threshold_are_refused(env: Any) -> None:
-    setup = make_setup(env, TINY)
-    with pytest.raises(SettingError, match=r"^curriculum: accuracy varies the"):
+class Rewarding(Base):
+    """Success by the common rule, rewards of its own."""
+
+    reward_range = (-1.0, 0.0)
+
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return -jnp.tanh(jnp.abs(achieved_goal - desired_goal).sum())
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [(Square, "but env has a rule of success"), (Rewarding, "which env's rewards do not follow")],
+)
+def test_curricula_that_vary_the_threshold_are_refused(kind: type, why: str) -> None:
+    setup = make_setup(checked(kind(), "it"), TINY)
+    message = f"^curriculum: accuracy varies the distance threshold, {why}"
+    with pytest.raises(SettingError, match=message):
         init_state(setup, tiny(curriculum="accuracy"))
 
 

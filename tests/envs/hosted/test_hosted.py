@@ -184,6 +184,7 @@ REMARKED_ON = {
     ),
     "Drawn": "reset and step of {} give other values for the same seed and action; what is trained",
     "DrawnLater": "reset and step of {} give other values for the same seed and action; what is",
+    "Crashing": "{} ended an episode without success; where a step costs 1 and nothing comes after",
     "NotFinite": "observation is not finite after step of {}; episodes in which that happens are",
 }
 

@@ -47,6 +47,14 @@ class Ending(NumpyPointMass):
         return shown, reward, last and not cut, truncated or (last and cut), info
 
 
+class Crashing(NumpyPointMass):
+    """Terminates on failure, in the third step."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        shown, reward, _, truncated, info = super().step(action)
+        return shown, reward, self._steps == 3, truncated, info
+
+
 class NoRule(Dense):
     distance_threshold = None  # pyright: ignore[reportAssignmentType]
 
@@ -250,7 +258,7 @@ class Reading(NumpyPointMass):
 
 
 VARIANTS = [
-    *(OneForSuccess, Dense, Ending, NoRule, Still, OneStep, Constant, Walled, Unwritten),
+    *(OneForSuccess, Dense, Ending, Crashing, NoRule, Still, OneStep, Constant, Walled, Unwritten),
     *(ReadingInfo, TrueThreshold, InPlace, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
     *(Failing, Closing, Hanging, Stubborn, Reading),
