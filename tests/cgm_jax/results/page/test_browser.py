@@ -14,7 +14,15 @@ from cgm_jax.results.page.page import write_page
 from cgm_jax.results.page.sweeps import read_sweep
 from cgm_jax.results.statistics import first_to_hold, quartiles
 from tests.cgm_jax.results.page.browser import PHONE, chromium, opened
-from tests.cgm_jax.results.page.made import TROUBLE, directory, follow_on, grid, timed_run, troubled
+from tests.cgm_jax.results.page.made import (
+    TROUBLE,
+    directory,
+    follow_on,
+    grid,
+    masks,
+    timed_run,
+    troubled,
+)
 
 # Not among the requirements: tests/page-requirements.txt.
 pytest.importorskip("playwright")
@@ -249,6 +257,17 @@ def test_runs_that_left_early_are_told(browser: Any, tmp_path: Path) -> None:
         view.locator("input[name=level]").fill("60")
         view.locator("input[name=level]").dispatch_event("change")
         assert "1 run could leave" in view.locator("#levels-caption").inner_text()
+
+
+def test_masks_are_of_a_setting_that_learned_and_left_early(browser: Any, tmp_path: Path) -> None:
+    rows = timed_run([0.0, 0.2, 0.5, 0.6, 0.6], 0, ("c_g",), c_g=0.1, **masks(4))
+    rows += timed_run([0.0, 0.1, *[0.45] * 58], 0, ("c_g",), c_g=0.4, **masks(4))
+    out = tmp_path / "page.html"
+    write_page(out, [read_sweep(directory(tmp_path / "run", rows))])
+    with opened(browser, out) as view:
+        caption = view.locator("#masks-caption").inner_text()
+        assert "c_g 10 %" in caption
+        assert "c_g 40 %" not in caption
 
 
 def test_runs_that_nothing_tells_apart_are_named(browser: Any, tmp_path: Path) -> None:
