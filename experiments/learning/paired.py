@@ -13,7 +13,14 @@ from scipy import stats
 
 from experiments.learning.records import RecordedRun, Row
 from experiments.learning.setting import CGM, NO_MASKS, Setting
-from experiments.learning.tables import LEVELS, Runs, env_steps_to_hold, is_settled, runs_by_setting
+from experiments.learning.tables import (
+    LEVELS,
+    Runs,
+    env_steps_to_hold,
+    is_settled,
+    left_for_success,
+    runs_by_setting,
+)
 
 SEEDS_OF_A_CLAIM = 10
 """With fewer pairs a comparison is a screen; below, the bootstrap's interval covers too little."""
@@ -105,12 +112,15 @@ def comparisons(runs: Runs) -> list[Row]:
     goal, against DDPG that sees no masks and pursues no stages.
 
     Compared are environment steps until a success is held, by the seeds that both have. A run that
-    does not hold it by the end of the shorter training counts as holding it there. The difference
-    to such a run is larger than shown, and marked with < or >, and with ? where neither run holds
-    it. The mean is marked likewise if all marks agree, and has no interval then; nor where all
-    differences are equal, since times are known to one evaluation only. The exact test and
-    P(sooner) are of the times as counted. Left out are pairs with fewer than two seeds in common,
-    of which no run holds the success, or that left before it.
+    does not hold it by the end of the shorter training of its pair counts as holding it there; an
+    arm of which all runs left, since they held the success, counts as trained for as long as the
+    other, as longer training would have left it the same. The difference to a run that does not
+    hold it is larger than shown, and marked with < or >, and with ? where neither run holds it. The
+    mean is marked likewise if all marks agree, and has no interval then; nor where all differences
+    are equal, since times are known to one evaluation only. The exact test is of the times as
+    counted; so is P(sooner), where all runs count to the end of the shortest training. Left out are
+    pairs with fewer than two seeds in common, of which no run holds the success, or that left
+    before it.
     """
     settings = runs_by_setting(runs)
     table = []
@@ -161,14 +171,15 @@ def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | No
     steps = [[env_steps_to_hold(run, level) for run in arm] for arm in arms]
     if np.isinf(steps).all():
         return None
-    budget = min(run.budget for run in together)
-    one, other = np.minimum(steps, budget)
-    paired = paired_difference(one, other)
-    marks = [_mark(first, second, budget) for first, second in zip(*steps, strict=True)]
+    known = np.min([_known_to(arm) for arm in arms], axis=0)  # of each pair
+    paired = paired_difference(*np.minimum(steps, known))
+    marks = [_mark(*pair) for pair in zip(*steps, known, strict=True)]
+    shortest = min(known.min(), max(run.budget for run in together))
+    one, other = np.minimum(steps, shortest)
     improvement = improvement_interval(one, other) or ("", "")
     return {
         "level": level,
-        "counted_to": budget,
+        "counted_to": int(shortest),
         "differences": " ".join(
             f"{mark}{difference:.0f}"
             for mark, difference in zip(marks, paired.differences, strict=True)
@@ -181,9 +192,16 @@ def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | No
     }
 
 
-def _mark(one: float, other: float, budget: int) -> str:
+def _known_to(arm: Sequence[RecordedRun]) -> list[float]:
+    """Environment steps up to which it is known of each run of an arm when it holds a success."""
+    if all(left_for_success(run) for run in arm):
+        return [math.inf] * len(arm)
+    return [run.budget for run in arm]
+
+
+def _mark(one: float, other: float, known: float) -> str:
     """What is known of a difference: nothing to add, a bound, or nothing at all."""
-    late = (one > budget, other > budget)
+    late = (one > known, other > known)
     return {(True, False): ">", (False, True): "<", (True, True): "?"}.get(late, "")
 
 

@@ -24,6 +24,7 @@ from experiments.learning.setting import NO_MASKS
 from experiments.learning.tables import (
     LEVELS,
     Runs,
+    all_env_steps_to_hold,
     env_steps_to_hold,
     final_success,
     in_order_of_seeds,
@@ -145,10 +146,17 @@ def _held(runs: Runs, level: float) -> list[str]:
     """Two cells: thousands of environment steps until a level is held, and their quartiles."""
     if not all(is_settled(run, level) for run in runs):
         return ["not trained for", ""]
-    steps = [env_steps_to_hold(run, level) for run in runs]
+    steps = all_env_steps_to_hold(runs, level)
     low, median, high = (_thousands(value) for value in quartiles(steps))
     spread = median if low == high else f"{median} ({low} to {high})"
-    return [_by_seed([value / 1000 for value in steps]), spread]
+    longest = max(run.budget for run in runs)
+    said = [
+        f"never by {run.budget / 1000:,g}"
+        if math.isinf(number) and run.budget < longest
+        else _thousands(number)
+        for run, number in zip(runs, steps, strict=True)
+    ]
+    return [", ".join(said), spread]
 
 
 def _thousands(value: float) -> str:

@@ -79,16 +79,23 @@ def not_trained(question: str) -> str:
 
 
 def held_by(sweeps: str, level: str) -> str:
-    """How many seeds hold a success, such as "five of five seeds", of each sweep.
+    """How many seeds hold a success by the end, such as "five of five seeds", of each sweep.
 
     Args:
         sweeps: one, or several with commas between them, of which the same is so; "a+b" are two
             sweeps of one setting taken together, as tables do.
         level: in percent.
+
+    Raises:
+        ValueError: not the same is so of all, or runs that do not hold it have several ends.
     """
     arms = _arms(sweeps)
     if not all(arms):
         return NOT_YET
+    for runs in arms:
+        never = [run for run in runs if math.isinf(env_steps_to_hold(run, int(level) / 100))]
+        if len({run.budget for run in never}) > 1:
+            raise ValueError(f"{sweeps}: seeds that do not hold {level} % have several ends")
     return _of_each(_held(runs, int(level) / 100) for runs in arms)
 
 

@@ -81,6 +81,12 @@ def left_early(run: RecordedRun) -> bool:
     return run.rows[-1]["env_steps"] < run.budget
 
 
+def left_for_success(run: RecordedRun) -> bool:
+    """Whether a run held the success at which it was to leave, so that it ended there."""
+    leave_at = run.settings["leave_at"]
+    return leave_at is not None and math.isfinite(env_steps_to_hold(run, leave_at))
+
+
 def final_success(run: RecordedRun) -> float:
     """Mean success of a run's last evaluations, as many as it takes to hold a success."""
     rates = [row["success_rate"] or 0.0 for row in run.rows[-HOLDING_EVALUATIONS:]]
@@ -122,9 +128,25 @@ ARRIVALS = (
 """What there is to say of a level; the level's name follows."""
 
 
+def all_env_steps_to_hold(runs: Runs, level: float) -> list[float]:
+    """Environment steps until each run holds a success, of which quartiles can be taken.
+
+    Raises:
+        ValueError: one left before it could, or does not hold it and was trained for less long than
+            another took: so it is not known which of them is the sooner.
+    """
+    steps = [env_steps_to_hold(run, level) for run in runs]
+    last = max((number for number in steps if math.isfinite(number)), default=0)
+    for run, number in zip(runs, steps, strict=True):
+        if run.budget < last and math.isinf(number):
+            names = f"{run.sweep}, seed {run.seed}"
+            raise ValueError(f"{names} ends at {run.budget:,}, before another holds {level:g}")
+    return steps
+
+
 def _arrivals(runs: Runs, level: float) -> Row:
     """When runs hold a success; the names end where the level goes."""
-    steps = [env_steps_to_hold(run, level) for run in runs]
+    steps = all_env_steps_to_hold(runs, level)
     rows = [first_to_hold(run.rows, level) for run in runs]
     seconds = [row["wall_s"] if row else math.inf for row in rows]
     low, median, high = quartiles(steps)

@@ -23,6 +23,27 @@ def test_a_paired_difference_by_hand() -> None:
     assert paired.p_value == pytest.approx(2 / 8)  # of eight exchanges one is as large, each way
 
 
+def test_seeds_trained_for_longer_are_counted_to_their_own_end() -> None:
+    """Eight pairs of which five were trained to 9,000, all later without masks: p = 2 / 2^8."""
+    runs = [run([0.6] * 5, seed) for seed in range(3)]
+    runs += [run([0.0] * 5, seed, curriculum="full") for seed in range(3)]
+    runs += [run([0.6] * 9, seed) for seed in range(3, 8)]
+    late = [0.0] * 6 + [0.6] * 3
+    runs += [run(late, seed, curriculum="full") for seed in range(3, 8)]
+    (entry,) = comparisons(runs)
+    assert entry["differences"] == "<-2000 <-2000 <-2000 -6000 -6000 -6000 -6000 -6000"
+    assert (entry["p_value"], entry["probability_of_improvement"]) == (0.0078, 1.0)
+    assert entry["counted_to"] == 5000
+
+
+def test_an_arm_that_left_with_success_counts_as_trained_for_as_long_as_the_other() -> None:
+    runs = [run([0.9] * 3, seed, leave_at=0.9, epochs=5) for seed in range(2)]
+    runs += [run([0.0] * 9, seed, curriculum="full", leave_at=0.9) for seed in range(2)]
+    assert {entry["differences"] for entry in comparisons(runs)} == {"<-6000 <-6000"}
+    runs[1] = run([0.0] * 5, 1, leave_at=0.9)  # did not leave: of none is it known after 5,000
+    assert {entry["differences"] for entry in comparisons(runs)} == {"<-2000 ?0"}
+
+
 def test_the_exact_test_counts_exchanges_that_are_as_large() -> None:
     # Of 16 sums of +-1 +-2 +-3 +-4, those of at least 8: 10 and 8 alone.
     assert paired_difference([-1, 2, 3, 4], [0, 0, 0, 0]).p_value == pytest.approx(4 / 16)
@@ -55,11 +76,11 @@ def test_arms_are_compared_by_seeds_that_both_have() -> None:
     runs += [run(later, 0, curriculum="full"), run(never, 1, curriculum="full")]
     (entry,) = comparisons(runs)
     assert (entry["setting"], entry["baseline"]) == ("CGM (10 %, 32)", "no masks")
-    # Held at 4,000 against 5,000 and never; the shorter training was 4,000.
+    # Held at 4,000 against 5,000, and against never, where the shorter training was 4,000.
     assert (entry["seeds"], entry["level"], entry["counted_to"]) == ("0 1", 0.5, 4000)
-    assert entry["differences"] == "<0 <0"
+    assert entry["differences"] == "-1000 <0"
     (entry,) = comparisons([*runs[:4], run([0.0] * 9, 1, curriculum="full")])
-    assert entry["counted_to"] == 5000
+    assert entry["counted_to"] == 5000  # by P(sooner)
     assert entry["differences"] == "-1000 <-1000"
     assert (entry["mean_difference"], entry["low"], entry["high"]) == ("<-1000", "", "")
     assert (entry["p_value"], entry["probability_of_improvement"]) == (0.5, 1.0)

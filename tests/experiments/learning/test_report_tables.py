@@ -34,6 +34,13 @@ def test_speed_shows_every_seed_and_who_left(question: list[RecordedRun]) -> Non
     ]
 
 
+def test_never_says_by_when_where_others_of_the_setting_were_trained_longer(
+    question: list[RecordedRun],
+) -> None:
+    question += [run([0.0] * 5, 0), run([0.0] * 9, 1), run([0.5] * 9, 2)]
+    assert "never by 5, never, 3" in report_tables.speed("any").rows[0]
+
+
 def test_paired_says_how_large_a_difference_is_at_least(question: list[RecordedRun]) -> None:
     question += [run([0.5] * 9, seed) for seed in (0, 1)]
     question += [

@@ -62,6 +62,14 @@ def test_sweeps_of_one_setting_are_taken_together(recorded: Recorded) -> None:
         report_values.held_by("one+other", "90")
 
 
+def test_seeds_that_never_hold_a_success_have_one_end(recorded: Recorded) -> None:
+    recorded["one"] = arm("one", [held(5), NEVER])
+    recorded["more"] = [run(held(5), 2, "more", epochs=99), run(NEVER[:5], 3, "more")]
+    with pytest.raises(ValueError, match=r"one\+more: seeds that do not hold 90 % have several ends"):
+        report_values.held_by("one+more", "90")
+    assert report_values.held_by("more", "90") == "one of two seeds"
+
+
 def test_what_is_said_of_several_is_so_of_each(recorded: Recorded) -> None:
     recorded["one"] = arm("one", [held(5), NEVER])
     recorded["other"] = arm("other", [NEVER, held(7)])

@@ -39,6 +39,14 @@ def test_seconds_of_runs_side_by_side_and_levels_beyond_the_end_are_left_out() -
     assert left.budget == 9000
 
 
+def test_a_run_that_ended_before_others_arrived_has_no_place_among_them() -> None:
+    runs = [run([0.0] * 5, 0), run([0.0] * 6 + [0.6] * 3, 1)]
+    with pytest.raises(ValueError, match=r"one, seed 0 ends at 5,000, before another holds 0\.5"):
+        learning_speed(runs)
+    (entry,) = learning_speed([runs[0], run([0.6] * 9, 1)])
+    assert (entry["env_steps_to_50"], entry["median_to_50"]) == ("- 3000", "-")
+
+
 def test_runs_that_share_setting_and_seed_are_not_taken_for_one() -> None:
     with pytest.raises(ValueError, match="the same run"):
         learning_speed([run([0.5]), run([0.5], sweep="other")])
