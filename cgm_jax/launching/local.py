@@ -37,12 +37,17 @@ class Local:
         rooms = cores // (resources.cores or 1)
         if wanted:
             rooms = min(rooms, len(there) // wanted) if resources.cores else len(there) // wanted
+        free, memory = free_memory(), resources.memory
+        if memory is not None:
+            if memory * 2**30 > free:
+                raise SettingError(
+                    f"memory: {memory:g} GiB are more than the {free / 2**30:.1f} free here"
+                )
+            rooms = min(rooms, int(free // (memory * 2**30)))
         self._wanted, self.rooms = wanted, min(parts, rooms)
         self.cores = resources.cores or max(1, cores // self.rooms)
-        memory = free_memory() / self.rooms / 2**20
-        if resources.memory is not None:
-            memory = resources.memory * 2**10
-        self._memory = max(1, int(memory))
+        share = free / self.rooms / 2**20 if memory is None else memory * 2**10
+        self._memory = max(1, int(share))
         self._attempts: dict[int, tuple[Attempt, list[str]]] = {}
 
     def check(self) -> None:

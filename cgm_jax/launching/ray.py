@@ -13,6 +13,7 @@ from typing import Any
 from cgm_jax.config.fields import SettingError
 from cgm_jax.launching.directory import Launch, Resources, carried_environment
 from cgm_jax.launching.supervision import Ended
+from cgm_jax.machine.allotment import MEMORY_VARIABLE
 
 
 class Ray:
@@ -47,6 +48,9 @@ class Ray:
         self._ray = ray
         self._cores = resources.cores or 1
         self._tasks: dict[Any, int] = {}
+        # Ray only keeps account of memory; a part has to be told what it may plan with.
+        memory = resources.memory
+        self._memory = {} if memory is None else {MEMORY_VARIABLE: str(int(memory * 2**10))}
         options = {
             "num_cpus": self._cores,
             "num_gpus": resources.gpus,
@@ -73,7 +77,7 @@ class Ray:
 
     def start(self, parts: Sequence[int]) -> Sequence[int]:
         """See `Engine`."""
-        carried = carried_environment()
+        carried = {**carried_environment(), **self._memory}
         for part in parts:
             order = self._launch.order(part, self._cores, carried)
             task = self._attempt.remote(

@@ -12,7 +12,7 @@ from cgm_jax.host.interruption import Interruption
 from cgm_jax.launching.attempts import POLL_SECONDS, Step, next_step, was_killed
 from cgm_jax.launching.directory import Launch
 from cgm_jax.launching.progress import JointProgress
-from cgm_jax.launching.record import append_event, fruitless_attempts
+from cgm_jax.launching.record import append_event, fruitless_attempts, position
 
 MAX_DELAY = 60.0
 """Seconds before an attempt that follows others without progress, at most."""
@@ -85,16 +85,27 @@ class Parts:
         waiting: parts to be attempted, and the time before which not.
         running: parts being attempted.
         codes: exit codes of parts that are done, or cannot be.
+        stands: where each part stood when its last attempt ended.
+        stuck: how many attempts in a row have ended there. Unlike the part's own record this counts
+            those that never began, as where a job's interpreter is not there.
     """
 
     waiting: dict[int, float]
     running: set[int] = field(default_factory=set)
     codes: dict[int, int] = field(default_factory=dict)
+    stands: dict[int, list[int]] = field(default_factory=dict)
+    stuck: dict[int, int] = field(default_factory=dict)
 
     def done(self) -> list[int]:
         """Parts that are done."""
         good = (ExitCode.DONE, ExitCode.DIVERGED)
         return [part for part, code in self.codes.items() if code in good]
+
+    def fruitless(self, part: int, here: list[int]) -> int:
+        """How many attempts in a row came no further than here, one that ended now included."""
+        self.stuck[part] = self.stuck.get(part, 0) + 1 if self.stands.get(part) == here else 0
+        self.stands[part] = here
+        return self.stuck[part]
 
 
 def supervise(
@@ -114,7 +125,9 @@ def supervise(
     engine.begin(launch)
     for part in epochs:
         append_event(launch.record(part), "launched")
-    parts = Parts(dict.fromkeys(epochs, 0.0))
+    parts = Parts(
+        dict.fromkeys(epochs, 0.0), stands={part: position(launch.out(part)) for part in epochs}
+    )
     metrics = {part: launch.out(part) / "metrics.jsonl" for part in epochs}
     with JointProgress(metrics, epochs) as progress:
         while parts.waiting or parts.running:
@@ -144,7 +157,10 @@ def _start(engine: Engine, parts: Parts) -> None:
 def _follow_up(launch: Launch, parts: Parts, part: int, end: Ended) -> None:
     """Decide what becomes of a part whose attempt has ended."""
     parts.running.discard(part)
-    fruitless = fruitless_attempts(launch.record(part), launch.out(part))
+    out = launch.out(part)
+    fruitless = max(
+        fruitless_attempts(launch.record(part), out), parts.fruitless(part, position(out))
+    )
     step = next_step(end.code, fruitless)
     if end.final and step is Step.AGAIN:
         step = Step.FAILED

@@ -6,8 +6,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ from cgm_jax.launching.cores import Cores
 from cgm_jax.launching.directory import Launch, Resources
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.record import events, last_code
-from cgm_jax.launching.supervision import supervise, verdict
+from cgm_jax.launching.supervision import Ended, supervise, verdict
 from cgm_jax.storage.lock import locked
 
 CHILD = str(Path(__file__).with_name("child.py"))
@@ -84,6 +85,49 @@ def test_what_ended_an_attempt_from_outside_is_tried_again_while_there_is_progre
     assert run(launch) == {1: code}
     assert len(starts(launch)) == count
     assert last_code(launch.record(1)) == code
+
+
+class Absent:
+    """Attempts that end before they begin, as of jobs whose interpreter is not on their node."""
+
+    detached = ""
+
+    def __init__(self) -> None:
+        self.started: list[int] = []
+        self._running: list[int] = []
+
+    def begin(self, launch: Launch) -> None: ...
+
+    def room(self) -> int:
+        return 9
+
+    def start(self, parts: Sequence[int]) -> Sequence[int]:
+        self.started += parts
+        self._running += parts
+        return parts
+
+    def ended(self) -> dict[int, Ended]:
+        ended = {part: Ended(None) for part in self._running}
+        self._running = []
+        return ended
+
+
+def test_attempts_that_never_begin_are_not_made_for_ever(
+    made: Callable[..., Launch], capsys: pytest.CaptureFixture[str]
+) -> None:
+    launch, engine, interruption = made([], []), Absent(), SimpleNamespace(requested=False)
+    assert supervise(launch, engine, {1: 4, 2: 4}, interruption) == {1: 1, 2: 1}  # pyright: ignore
+    assert sorted(engine.started) == [1] * MAX_FRUITLESS + [2] * MAX_FRUITLESS
+    assert "it was lost, and 5 attempts in a row have come no further" in capsys.readouterr().err
+
+
+def test_where_no_record_can_be_written_attempts_are_counted_all_the_same(
+    made: Callable[..., Launch],
+) -> None:
+    launch = made(["1:75", "0:74"])
+    launch.record(1).mkdir()
+    assert run(launch) == {1: 74}
+    assert len(starts(launch)) == 1 + MAX_FRUITLESS
 
 
 def test_one_part_that_fails_leaves_the_others_alone(

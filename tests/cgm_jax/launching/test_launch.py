@@ -2,12 +2,14 @@
 
 import errno
 import importlib.util
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -282,17 +284,43 @@ def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:
         (99, Resources(gpus=2, cores=1), 2, 1),
         (99, Resources(gpus=1, cores=4), 2, 4),
         (2, Resources(gpus=0), 2, 4),
+        (99, Resources(memory=5), 3, 2),
+        (99, Resources(cores=1, memory=1), 8, 1),
     ],
 )
-def test_a_machine_of_eight_cores_and_four_gpus_is_shared_out(
+def test_a_machine_of_eight_cores_four_gpus_and_16_gib_is_shared_out(
     monkeypatch: pytest.MonkeyPatch, parts: int, resources: Resources, rooms: int, cores: int
 ) -> None:
+    monkeypatch.setattr(local, "free_memory", lambda: 16 * 2**30)
     monkeypatch.setattr(local, "available_cores", lambda: 8)
     gpus = ["0", "1", "2", "3"] if resources.gpus is not None else []
     monkeypatch.setattr(local, "visible_gpus", lambda: gpus)
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     engine = Local(parts, resources)
     assert (engine.rooms, engine.room(), engine.cores) == (rooms, rooms, cores)
+
+
+def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "free_memory", lambda: 16 * 2**30)
+    with pytest.raises(SettingError, match=r"^memory: 17 GiB are more than the 16\.0 free here$"):
+        Local(2, Resources(memory=17))
+
+
+@pytest.mark.parametrize(("memory", "told"), [(None, None), (1.5, "1536")])
+def test_ray_tells_parts_how_much_memory_they_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, memory: float | None, told: str | None
+) -> None:
+    attempts: list[Any] = []
+    attempt = SimpleNamespace(remote=lambda *arguments: attempts.append(arguments))
+    fake = SimpleNamespace(init=lambda **_: None, remote=lambda **_: lambda _: attempt)
+    monkeypatch.setitem(sys.modules, "ray", fake)
+    launch = Launch(tmp_path, "ray", 1, "smoke", (), Resources(memory=memory))
+    engine = ray.Ray(launch.resources)
+    engine.begin(launch)
+    engine.start([1])
+    ((_, order, carried, *_),) = attempts
+    assert carried.get("CGM_JAX_MEMORY_MIB") == told
+    assert json.loads(order)["environment"].get("CGM_JAX_MEMORY_MIB") == told
 
 
 def test_gpus_are_given_out_and_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
