@@ -1,5 +1,7 @@
 """The Fetch environments: an arm over a table, a box, and a goal position."""
 
+import math
+import numbers
 from dataclasses import dataclass
 
 import jax
@@ -30,11 +32,20 @@ DESCENT = 2.0
 """Metres that the grip comes down for each metre that it approaches the place where it is to be."""
 
 
+FIELDS = {
+    "air_probability": numbers.Real,
+    "distance_threshold": numbers.Real,
+    "episode_length": numbers.Integral,
+}
+"""Settings of an environment, and what kind of number each is."""
+
+
 @dataclass(frozen=True)
 class FetchEnvironment(Env):
     """One Fetch task on one physics engine; a brax environment and a `GoalEnvironment`.
 
-    Observation, action, reset and reward rules are those of Gymnasium-Robotics' Fetch.
+    Observation, action, reset and reward rules are those of Gymnasium-Robotics' Fetch, but for an
+    age of 2 ms of what is observed there; see `fetch_observation`.
 
     Attributes:
         task: which task.
@@ -45,6 +56,7 @@ class FetchEnvironment(Env):
         episode_length: control steps (of 0.04 s) per episode.
 
     Raises:
+        TypeError: a field is no number of its kind.
         ValueError: a field out of its range.
     """
 
@@ -56,10 +68,17 @@ class FetchEnvironment(Env):
     episode_length: int = STEPS_PER_EPISODE
 
     def __post_init__(self) -> None:
+        for name, kind in FIELDS.items():
+            value = getattr(self, name)
+            if not isinstance(value, kind) or isinstance(value, bool):
+                number = "number" if kind is numbers.Real else "whole number"
+                raise TypeError(f"{name}: {value!r} is no {number}")
         if not 0.0 <= self.air_probability <= 1.0:
             raise ValueError(f"air_probability: {self.air_probability} is not within [0, 1]")
-        if not self.distance_threshold > 0.0:
-            raise ValueError(f"distance_threshold: {self.distance_threshold} is not above 0")
+        if not 0.0 < self.distance_threshold < math.inf:
+            raise ValueError(
+                f"distance_threshold: {self.distance_threshold} is not above 0 and finite"
+            )
         if self.episode_length < 1:
             raise ValueError(f"episode_length: {self.episode_length} is not at least 1")
 

@@ -1,6 +1,7 @@
 """From a name to an environment."""
 
 import dataclasses
+import numbers
 from collections.abc import Callable
 from typing import Any
 
@@ -24,7 +25,9 @@ def make(name: str, engine: str = "auto", **fields: Any) -> FetchEnvironment:
             `air_probability=0.5` for Gymnasium-Robotics' pick-and-place goals.
 
     Raises:
-        ValueError: unknown name, engine or field, or an engine that is not installed.
+        TypeError: a field is no number of its kind.
+        ValueError: unknown name, engine or field, a field out of its range, or an engine that is
+            not installed.
     """
     return _make(name, fields, lambda scene: start_engine(engine, scene))
 
@@ -40,14 +43,16 @@ def make_deferred(name: str, engine: str = "auto", **fields: Any) -> FetchEnviro
 def _make(
     name: str, fields: dict[str, Any], physics: Callable[[Scene], Physics]
 ) -> FetchEnvironment:
-    if name not in TASKS:
+    if not isinstance(name, str) or name not in TASKS:
         raise ValueError(f"env: unknown environment {name!r}; choose from {', '.join(TASKS)}")
     task = TASKS[name]
     settable = {field.name for field in dataclasses.fields(FetchEnvironment)}
     settable -= {"task", "scene", "physics"}
     if unknown := sorted(set(fields) - settable):
         raise ValueError(f"{unknown[0]}: no such field; choose from {', '.join(sorted(settable))}")
-    if fields.get("air_probability", 0.0) > 0.0 and (task.fingers_blocked or not task.has_object):
+    in_air = fields.get("air_probability", 0)
+    can_lift = task.has_object and not task.fingers_blocked
+    if isinstance(in_air, numbers.Real) and float(in_air) > 0.0 and not can_lift:
         raise ValueError(f"air_probability: the object of {name} cannot be lifted into the air")
     scene = load_scene(task)
     fields = {"air_probability": task.air_probability, **fields}

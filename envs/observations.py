@@ -23,7 +23,9 @@ Reading = Callable[[str], jax.Array]
 
 
 def euler_angles(quaternion: jax.Array) -> jax.Array:
-    """Extrinsic-xyz Euler angles [3] (radians) of a unit quaternion [4] (w, x, y, z).
+    """Intrinsic x-y-z Euler angles [3] (radians) of a unit quaternion [4] (w, x, y, z).
+
+    So scipy's `Rotation.from_euler("XYZ", angles)` is the rotation.
 
     The convention of Gymnasium-Robotics' `mat2euler`, which observes the object's rotation.
     At gimbal lock (pitch of +-90 degrees) the first angle is 0, as there.
@@ -52,6 +54,8 @@ def fetch_observation(reading: Reading, *, has_object: bool, fingers_blocked: bo
     finger joints 2, (object Euler angles 3, object linear velocity relative to grip 3, object
     angular velocity 3,) grip velocity 3, finger velocities 2. Metres and radians; velocities
     per control step. Blocked fingers are observed at 0, where the next control step puts them.
+    Without blocked fingers Gymnasium-Robotics observes the positions of grip and object as they
+    were one substep of 2 ms before; here they are those of now, so up to 2 mm ahead at full speed.
     """
     grip = reading("grip_position")
     grip_velocity = reading("grip_velocity") * SECONDS_PER_CONTROL_STEP

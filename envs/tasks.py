@@ -16,7 +16,8 @@ class Task:
         fingers_blocked: whether the fingers are shut anew at every control step, whatever the
             action says.
         pose_lag: age in seconds of the gripper position that an action displaces. In
-            pick-and-place Gymnasium-Robotics reads it one 2 ms substep late.
+            pick-and-place Gymnasium-Robotics reads it one 2 ms substep late. What is observed has
+            no such lag here; see `fetch_observation`.
         approach: how far behind the object, seen from the goal, the grip is before it moves the
             object, metres; 0 for at the object itself.
         approach_within: the grip is there closer than this, metres.

@@ -28,7 +28,7 @@ from cgm_jax.gymnasium.goals import (
     make_rule,
     with_goal_space,
 )
-from cgm_jax.gymnasium.mask_sampler import MaskSampler, mask_generator
+from cgm_jax.gymnasium.mask_sampler import MaskSampler, check_switch, mask_generator
 
 
 class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordConstructorArgs):
@@ -89,6 +89,7 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
             threshold = env.get_wrapper_attr("distance_threshold")
         self.rule = make_rule(goals.shape[0], threshold, distance)
         self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history, mask_levels)
+        check_switch("evaluating", evaluating)
         self.evaluating = evaluating
         self._generator = mask_generator(None)
         self._mask: np.ndarray | None = None

@@ -53,8 +53,7 @@ class MaskSampler:
         _check_number("c_g", c_g, 0, 1, Real)
         _check_number("kappa", kappa, 0, 1e6, Real)
         _check_number("history", history, 1, 10**6, Integral)
-        if not isinstance(mask_levels, bool):
-            raise ValueError(f"mask_levels: {mask_levels!r} is neither True nor False")
+        check_switch("mask_levels", mask_levels)
         self.goal_size = int(goal_size)
         self._c_g, self._kappa, self._history = float(c_g), float(kappa), int(history)
         self._mask_levels = mask_levels
@@ -155,6 +154,16 @@ class MaskSampler:
 def mask_generator(seed: int | None) -> np.random.Generator:
     """Random numbers for masks, independent of an environment's own under the same seed."""
     return np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
+
+
+def check_switch(name: str, value: object) -> None:
+    """Check that a switch is on or off.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if not isinstance(value, bool):
+        raise ValueError(f"{name}: {value!r} is neither True nor False")
 
 
 def _check_number(name: str, value: float, low: float, high: float, kind: type) -> None:

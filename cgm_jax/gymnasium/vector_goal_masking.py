@@ -1,6 +1,6 @@
 """Curriculum goal masking for a Gymnasium vector environment that steps as one batch."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -18,7 +18,7 @@ from cgm_jax.gymnasium.goals import (
     make_rule,
     with_goal_space,
 )
-from cgm_jax.gymnasium.mask_sampler import MaskSampler, mask_generator
+from cgm_jax.gymnasium.mask_sampler import MaskSampler, check_switch, mask_generator
 
 
 class VectorGoalMasking(
@@ -82,6 +82,7 @@ class VectorGoalMasking(
             distance_threshold = _own_threshold(env)
         self.rule = make_rule(goals.shape[0], distance_threshold, distance)
         self.sampler = MaskSampler(goals.shape[0], c_g, kappa, history, mask_levels)
+        check_switch("evaluating", evaluating)
         self.evaluating = evaluating
         self._generators = [mask_generator(None) for _ in range(env.num_envs)]
         self._masks = np.ones((env.num_envs, goals.shape[0]), bool)
@@ -101,8 +102,11 @@ class VectorGoalMasking(
                 only some rows; the others are the environment's.
 
         Raises:
+            TypeError: `options` are no dict.
             ValueError: `mask` has another shape, or holds something else.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise TypeError(f"options: {options!r} is neither a dict nor None")
         options, forced = dict(options or {}), None
         if "mask" in options:
             forced = check_masks(options.pop("mask"), self._masks.shape)
@@ -184,12 +188,20 @@ class VectorGoalMasking(
 
 
 def _own_threshold(env: VectorEnv[Any, Any, Any]) -> Any:
-    """`distance_threshold` of the vector environment, or of the environments in it; else None."""
+    """`distance_threshold` of the vector environment, or of the environments in it; else None.
+
+    Asked first whether they have it: workers of an `AsyncVectorEnv` end over what they do not have.
+
+    Raises:
+        ValueError: the environments in it differ in theirs.
+    """
     own = getattr(env.unwrapped, "distance_threshold", None)
-    if own is not None or not hasattr(env.unwrapped, "get_attr"):
+    if own is not None or not hasattr(env.unwrapped, "call"):
         return own
-    try:
-        thresholds = env.unwrapped.get_attr("distance_threshold")  # pyright: ignore
-    except AttributeError:
+    within: Any = env.unwrapped
+    if not all(within.call("has_wrapper_attr", "distance_threshold")):
         return None
-    return thresholds[0]
+    first, *others = within.get_attr("distance_threshold")
+    if not all(np.array_equal(first, other) for other in others):
+        raise ValueError("distance_threshold: the environments differ in theirs; give one")
+    return first

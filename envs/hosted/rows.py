@@ -130,10 +130,10 @@ class Rows:
             alive = ~(batch.terminated | batch.truncated)
             if (steps[alive] != batch.steps).any():
                 raise TaskError(f"rows of {self._id} cannot go back to a state that has passed")
-        # So that bounds of +-1 leave an action as it is.
+        # So that bounds of +-1 leave an action as it is; others might be passed by a rounding.
         middle, half = (self._low + self._high) / 2.0, (self._high - self._low) / 2.0
-        scaled = middle + half * np.clip(actions, -1.0, 1.0)
-        batch.step(scaled.astype(self._low.dtype), self._length)
+        scaled = (middle + half * np.clip(actions, -1.0, 1.0)).astype(self._low.dtype)
+        batch.step(np.clip(scaled, self._low, self._high), self._length)
         if batch.steps == self._length:
             self._release(ticket)
         return ticket, batch
@@ -154,7 +154,12 @@ class Rows:
                 f"success is judged by {self._rule.name} of {self._id}, not by is_success"
             )
         achieved, desired = (episode.shown[f"{kind}_goal"][-1:] for kind in ("achieved", "desired"))
-        if episode.terminated and not self._rule.success(achieved, desired)[0]:
+        steps = len(episode.said) - 1
+        if (
+            episode.terminated
+            and steps < self._length
+            and not self._rule.success(achieved, desired)[0]
+        ):
             remarks.append(
                 f"{self._id} ended an episode without success; where a step costs 1 and nothing "
                 "comes after the end, to end early may be worth more than to go on"

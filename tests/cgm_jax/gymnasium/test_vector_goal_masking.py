@@ -150,6 +150,37 @@ class Untold(NumpyPointMass):
         raise AttributeError("distance_threshold")
 
 
+def test_environments_of_several_thresholds_need_one_that_is_given() -> None:
+    class Wide(NumpyPointMass):
+        distance_threshold = 0.5
+
+    with pytest.raises(ValueError, match="distance_threshold: the environments differ in theirs"):
+        VectorGoalMasking(SyncVectorEnv([NumpyPointMass, Wide]))
+    both = SyncVectorEnv([NumpyPointMass, Wide])
+    assert VectorGoalMasking(both, distance_threshold=0.2).rule.threshold == 0.2
+
+
+def test_processes_live_on_where_their_environments_have_no_threshold() -> None:
+    env = AsyncVectorEnv([Untold] * 2, context="spawn")
+    try:
+        with pytest.raises(
+            ValueError, match="distance_threshold: the environment has no attribute"
+        ):
+            VectorGoalMasking(env)
+        observation, _ = VectorGoalMasking(env, distance_threshold=0.1).reset(seed=0)
+        assert observation["achieved_goal"].shape == (2, 2)
+    finally:
+        env.close()
+
+
+def test_what_is_no_switch_and_no_options_is_refused() -> None:
+    for wrap in (lambda: vector(evaluating="no"), lambda: GoalMasking(Brief(), evaluating="no")):
+        with pytest.raises(ValueError, match="evaluating: 'no' is neither True nor False"):
+            wrap()
+    with pytest.raises(TypeError, match=r"options: \[1\] is neither a dict nor None"):
+        vector().reset(options=[1])
+
+
 def test_environments_in_other_processes_are_masked_alike() -> None:
     many = VectorGoalMasking(AsyncVectorEnv([Brief] * 2, context="spawn"), kappa=0.0)
     try:

@@ -55,6 +55,18 @@ class Crashing(NumpyPointMass):
         return shown, reward, self._steps == 3, truncated, info
 
 
+class Narrow(NumpyPointMass):
+    """Bounds that a scaled action could pass by a rounding, and that `step` insists on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.action_space = gymnasium.spaces.Box(-0.1, 0.7, (2,), np.float32)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action), action
+        return super().step(action)
+
+
 class NoRule(Dense):
     distance_threshold = None  # pyright: ignore[reportAssignmentType]
 
@@ -258,7 +270,19 @@ class Reading(NumpyPointMass):
 
 
 VARIANTS = [
-    *(OneForSuccess, Dense, Ending, Crashing, NoRule, Still, OneStep, Constant, Walled, Unwritten),
+    *(
+        OneForSuccess,
+        Dense,
+        Ending,
+        Crashing,
+        Narrow,
+        NoRule,
+        Still,
+        OneStep,
+        Constant,
+        Walled,
+        Unwritten,
+    ),
     *(ReadingInfo, TrueThreshold, InPlace, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
     *(Failing, Closing, Hanging, Stubborn, Reading),
