@@ -37,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     engine = _engine(launch)
     if fresh:
         if launch.path != Path():
-            RunDirectory(launch.path).check_fresh()  # which the rest takes minutes to come to
+            # Which the rest takes minutes to come to.
+            RunDirectory(launch.path).check_fresh(also=("parts", "attempts", "logs"))
         engine.check()
         check_sweep(launch.sweep, engine.variables_here())
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.

@@ -112,7 +112,6 @@ def _train_as_asked(
         with (
             Compiler() as compiler,  # which is waited for when all else is done
             RunDirectory.claimed(out, fresh=recorded is None) as directory,
-            Tracking(options.track, out) as tracking,
         ):
             device = describe_devices()
             if recorded is None:
@@ -128,9 +127,11 @@ def _train_as_asked(
             print(f"{out}: {'; '.join(notes)}", file=sys.stderr)
             how = _how_to_resume(out, options.track)
             interruption.last_words = f"{STOPPED_AT_ONCE}; {how}"
-            return _train(
-                jobs, directory, interruption, options, shown, progress, tracking, compiler
-            )
+            # Not before there is a config, without which what it writes would be in the way.
+            with Tracking(options.track, out) as tracking:
+                return _train(
+                    jobs, directory, interruption, options, shown, progress, tracking, compiler
+                )
     except OSError as error:
         return _refused(error, options, out)
 

@@ -76,7 +76,8 @@ class LaunchOptions:
     """GPUs of each part (default: local: one, where there are any; else none)."""
 
     memory: float | None = None
-    """GiB of memory for each part (default: local: an equal share; else the scheduler's)."""
+    """GiB of memory for each part (default: local: an equal share; else the scheduler's). Locally
+    it limits how many parts run at once."""
 
     minutes: int | None = None
     """slurm: time limit of a job, after which it is requeued (default: 60)."""

@@ -125,17 +125,21 @@ class RunDirectory:
         except OSError:  # such as a name that is too long
             return False
 
-    def check_fresh(self) -> None:
+    def check_fresh(self, also: Sequence[str] = ()) -> None:
         """Check that no sweep has been begun here, whatever is left of it, and no launch.
 
-        Nor may there be a file that a sweep would replace or remove, whoever has made it.
+        Nor may there be a file where a sweep writes, whoever has made it; but for start.npz, which
+        is written before the config and so may be left of a sweep that was not begun.
+
+        Args:
+            also: further folders where no file may be.
 
         Raises:
             SettingError: one has, or there is.
         """
         try:
             held = [name for name in (CONFIG, METRICS, LAUNCH) if (self.path / name).exists()]
-            places = [self.path / name for name in (TABLE, *FOLDERS)]
+            places = [self.path / name for name in (TABLE, *FOLDERS, *also)]
             files = itertools.chain(places, *(place.rglob("*") for place in places))
             found = next((file for file in files if file.is_file()), None)
         except OSError:  # such as a name that is too long, as making the directory will say

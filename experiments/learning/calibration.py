@@ -125,7 +125,7 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
                 label=label,
             )
         mean, bias = calibration_errors(rows)["product", measured]
-        panel.set_title(f"{title}: masks off by {100 * mean:.1f} points, bias {100 * bias:+.1f}")
+        panel.set_title(f"{title}: off by {100 * mean:.1f} points, bias {100 * bias:+.1f}")
         panel.set_xlabel("measured success of the masked goal")
         panel.grid(alpha=0.25)
     panels[0].set_ylabel("estimated: product of sub-goal rates")

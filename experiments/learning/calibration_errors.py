@@ -17,13 +17,15 @@ def calibration_errors(
 ) -> dict[tuple[str, str], tuple[float, float]]:
     """Mean absolute error and mean error of each estimate against each measurement.
 
-    The full goal is left out: its estimates come from the very episodes that measure it.
+    The full goal is left out without noise: its estimates come from the very episodes that measure
+    it then.
     """
     full = max(len(row["kept"].split()) for row in rows)
     masked = [row for row in rows if len(row["kept"].split()) < full]
     table = {}
     for estimate in ESTIMATES:
         for measured in MEASURED:
-            difference = np.array([float(row[estimate]) - float(row[measured]) for row in masked])
+            judged = masked if measured == "without_noise" else rows
+            difference = np.array([float(row[estimate]) - float(row[measured]) for row in judged])
             table[estimate, measured] = (float(abs(difference).mean()), float(difference.mean()))
     return table

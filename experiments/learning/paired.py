@@ -117,10 +117,10 @@ def comparisons(runs: Runs) -> list[Row]:
     other, as longer training would have left it the same. The difference to a run that does not
     hold it is larger than shown, and marked with < or >, and with ? where neither run holds it. The
     mean is marked likewise if all marks agree, and has no interval then; nor where all differences
-    are equal, since times are known to one evaluation only. The exact test is of the times as
-    counted; so is P(sooner), where all runs count to the end of the shortest training. Left out are
-    pairs with fewer than two seeds in common, of which no run holds the success, or that left
-    before it.
+    are equal, since times are known to one evaluation only. The test is exact since it counts each
+    pair to an end that was planned, that of the shorter training whoever left. For P(sooner) all
+    runs are counted to one point, `counted_to`. Left out are pairs with fewer than two seeds in
+    common, of which no run holds the success, or that left before it.
     """
     settings = runs_by_setting(runs)
     table = []
@@ -172,6 +172,8 @@ def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | No
     if np.isinf(steps).all():
         return None
     known = np.min([_known_to(arm) for arm in arms], axis=0)  # of each pair
+    planned = np.min([[run.budget for run in arm] for arm in arms], axis=0)
+    exact = paired_difference(*np.minimum(steps, planned)).p_value
     paired = paired_difference(*np.minimum(steps, known))
     marks = [_mark(*pair) for pair in zip(*steps, known, strict=True)]
     shortest = min(known.min(), max(run.budget for run in together))
@@ -185,7 +187,7 @@ def _comparison(arms: Sequence[Sequence[RecordedRun]], level: float) -> Row | No
             for mark, difference in zip(marks, paired.differences, strict=True)
         ),
         **_mean(paired, {*marks} - {""}),
-        "p_value": round(paired.p_value, 4),
+        "p_value": round(exact, 4),
         "probability_of_improvement": round(float(probability_of_improvement(one, other)), 3),
         "improvement_low": improvement[0],
         "improvement_high": improvement[1],

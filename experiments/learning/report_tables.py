@@ -6,7 +6,7 @@ from statistics import median
 from typing import Any
 
 from cgm_jax.config.grid import build_groups
-from cgm_jax.results.statistics import first_to_hold, quartiles
+from cgm_jax.results.statistics import first_to_hold
 from experiments.learning.calibration_errors import ESTIMATES, MEASURED, calibration_errors
 from experiments.learning.paired import comparisons
 from experiments.learning.plans import read_plans, runs_of
@@ -24,12 +24,12 @@ from experiments.learning.setting import NO_MASKS
 from experiments.learning.tables import (
     LEVELS,
     Runs,
-    all_env_steps_to_hold,
     env_steps_to_hold,
     final_success,
     in_order_of_seeds,
     is_settled,
     left_early,
+    quartiles_to_hold,
     runs_by_setting,
     window_means,
 )
@@ -146,8 +146,8 @@ def _held(runs: Runs, level: float) -> list[str]:
     """Two cells: thousands of environment steps until a level is held, and their quartiles."""
     if not all(is_settled(run, level) for run in runs):
         return ["not trained for", ""]
-    steps = all_env_steps_to_hold(runs, level)
-    low, median, high = (_thousands(value) for value in quartiles(steps))
+    steps = [env_steps_to_hold(run, level) for run in runs]
+    low, median, high = (_thousands(value) for value in quartiles_to_hold(runs, level))
     spread = median if low == high else f"{median} ({low} to {high})"
     longest = max(run.budget for run in runs)
     said = [
@@ -164,6 +164,8 @@ def _thousands(value: float) -> str:
 
 
 def _number(value: float) -> str:
+    if math.isnan(value):
+        return "?"
     return f"{round(value, 1):g}" if math.isfinite(value) else "never"
 
 

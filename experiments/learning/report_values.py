@@ -87,15 +87,18 @@ def held_by(sweeps: str, level: str) -> str:
         level: in percent.
 
     Raises:
-        ValueError: not the same is so of all, or runs that do not hold it have several ends.
+        ValueError: not the same is so of all, or a run that does not hold it was trained for less
+            long than another that does not, or than one took to hold it.
     """
     arms = _arms(sweeps)
     if not all(arms):
         return NOT_YET
     for runs in arms:
-        never = [run for run in runs if math.isinf(env_steps_to_hold(run, int(level) / 100))]
-        if len({run.budget for run in never}) > 1:
-            raise ValueError(f"{sweeps}: seeds that do not hold {level} % have several ends")
+        steps = [env_steps_to_hold(run, int(level) / 100) for run in runs]
+        ends = {run.budget for run, held in zip(runs, steps, strict=True) if math.isinf(held)}
+        last = max((held for held in steps if math.isfinite(held)), default=0)
+        if len(ends) > 1 or (ends and min(ends) < last):
+            raise ValueError(f"{sweeps}: not all seeds were trained as long for {level} %")
     return _of_each(_held(runs, int(level) / 100) for runs in arms)
 
 

@@ -98,8 +98,8 @@ def learning_speed(runs: Runs) -> list[Row]:
 
     Of every seed the environment steps, and the seconds where it trained alone; a dash where it
     never holds the level. Medians and quartiles are interpolated; a dash where they lie between a
-    run that arrived and one that did not. Empty is what lies beyond the success at which runs
-    stopped early.
+    run that arrived and one that did not, a question mark where a run was trained for too short to
+    tell. Empty is what lies beyond the success at which runs stopped early.
     """
     table = []
     by_setting = runs_by_setting(runs)
@@ -128,28 +128,31 @@ ARRIVALS = (
 """What there is to say of a level; the level's name follows."""
 
 
-def all_env_steps_to_hold(runs: Runs, level: float) -> list[float]:
-    """Environment steps until each run holds a success, of which quartiles can be taken.
+def quartiles_to_hold(runs: Runs, level: float) -> list[float]:
+    """Quartiles of the environment steps until runs hold a success, see `statistics.quartiles`.
+
+    NaN is one that is not known: a run was trained for less long than another took to hold it, and
+    might have held it in between.
 
     Raises:
-        ValueError: one left before it could, or does not hold it and was trained for less long than
-            another took: so it is not known which of them is the sooner.
+        ValueError: a run left before it could hold it.
     """
     steps = [env_steps_to_hold(run, level) for run in runs]
     last = max((number for number in steps if math.isfinite(number)), default=0)
-    for run, number in zip(runs, steps, strict=True):
-        if run.budget < last and math.isinf(number):
-            names = f"{run.sweep}, seed {run.seed}"
-            raise ValueError(f"{names} ends at {run.budget:,}, before another holds {level:g}")
-    return steps
+    soonest = [
+        run.budget if math.isinf(number) and run.budget < last else number
+        for run, number in zip(runs, steps, strict=True)
+    ]
+    ends = zip(quartiles(soonest), quartiles(steps), strict=True)
+    return [early if early == late else math.nan for early, late in ends]
 
 
 def _arrivals(runs: Runs, level: float) -> Row:
     """When runs hold a success; the names end where the level goes."""
-    steps = all_env_steps_to_hold(runs, level)
+    steps = [env_steps_to_hold(run, level) for run in runs]
     rows = [first_to_hold(run.rows, level) for run in runs]
     seconds = [row["wall_s"] if row else math.inf for row in rows]
-    low, median, high = quartiles(steps)
+    low, median, high = quartiles_to_hold(runs, level)
     values = (
         sum(row is not None for row in rows),
         " ".join(map(dash_or_number, steps)),
@@ -160,8 +163,8 @@ def _arrivals(runs: Runs, level: float) -> Row:
 
 
 def dash_or_number(value: float) -> str:
-    """A whole number, or a dash for what never came."""
-    return f"{value:.0f}" if math.isfinite(value) else "-"
+    """A whole number, a dash for what never came, or a question mark for what is not known."""
+    return "?" if math.isnan(value) else f"{value:.0f}" if math.isfinite(value) else "-"
 
 
 def metrics_of(runs: Runs) -> list[Row]:

@@ -122,7 +122,7 @@ def _draw_array(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequen
     steps = columns[0][0]
     values = np.array([_mean(curves) for _, curves in columns])
     if not np.isfinite(values).any():
-        say_empty(panel, f"{key}: no value in any epoch")
+        say_empty(panel, f"{key}: no value while all runs trained")
         return
     edges = np.concatenate([[0.0], steps])
     panel.set_facecolor("lightgrey")  # of what has no value

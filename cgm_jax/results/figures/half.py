@@ -65,9 +65,10 @@ def epochs_to_half(rows: Rows) -> Figure:
     """Epochs to 50 % success over c_g or kappa; where neither differs, over what else does.
 
     A run is there once the mean of three evaluations holds 50 %. Medians over seeds, and quartiles
-    as dashed lines. Where a median run never gets there, its point is open and stands where
-    training ended. Runs without the setting are level lines. Where epochs differ in length,
-    environment steps take their place.
+    as dashed lines. Where a median run never gets there, its point is open and stands at the last
+    place at which it is known not to be there: where training ended, if all runs were trained
+    alike. Runs without the setting are level lines. Where epochs differ in length, environment
+    steps take their place.
 
     Raises:
         NothingToDraw: runs differ in nothing that could be an axis.

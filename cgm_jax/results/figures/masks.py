@@ -102,7 +102,7 @@ def _draws_masks(run: TrainedRun) -> bool:
 def _draw_masks(panel: Axes, runs: Sequence[TrainedRun], name: str) -> None:
     rows = [row for row in rows_while_all_ran(runs) if row.get(name)]
     if not any(rate is not None for row in rows for rate in row[name]):
-        say_empty(panel, "no value in any epoch")
+        say_empty(panel, "no value while all runs trained")
         return
     masks = len(rows[0][name])
     size = masks.bit_length() - 1

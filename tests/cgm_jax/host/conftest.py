@@ -24,7 +24,7 @@ def shared_programs() -> Iterator[SharedPrograms]:
 @pytest.fixture
 def in_process(shared_programs: SharedPrograms, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Sweeps of a test share programs, draw no figures, and never end pytest itself."""
-    monkeypatch.setattr(figures, "draw_figures", lambda _: None)
+    monkeypatch.setattr(figures, "draw_figures", lambda _: [])
     monkeypatch.setattr(jobs, "make_environment", lambda _: PointMass())
     # The default would end pytest, were the machine slow.
     patient = functools.partial(session.Interruption, patience=300.0)

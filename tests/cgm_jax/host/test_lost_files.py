@@ -29,7 +29,7 @@ from tests.cgm_jax.host.in_process import (
     train,
 )
 from tests.cgm_jax.refusing import refusing
-from tests.cgm_jax.sweeps import assert_same_results, rows
+from tests.cgm_jax.sweeps import ROOT, assert_same_results, rows
 
 pytestmark = pytest.mark.usefixtures("in_process")
 
@@ -207,6 +207,17 @@ def test_a_damaged_config_comes_back_from_a_checkpoint(
 
 
 stale, full = refusing(errno.ESTALE), refusing(errno.ENOSPC)
+
+
+def test_a_sweep_that_could_not_begin_begins_in_the_same_directory_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tracker = f"{ROOT / 'tests/examples/my_tracker.py'}:TextFile"
+    with monkeypatch.context() as patch:
+        patch.setattr(SweepConfig, "write", full)
+        assert train(tmp_path, "--track", tracker) == 74
+    assert capsys.readouterr().err.splitlines()[-1] == "nothing was begun"
+    assert train(tmp_path, "--track", tracker) == 0
 
 
 @pytest.mark.parametrize(

@@ -406,8 +406,11 @@ def test_a_folder_with_files_where_a_sweep_writes_is_refused(name: str, tmp_path
 
 def test_a_folder_with_other_files_is_taken(tmp_path: Path) -> None:
     (tmp_path / "checkpoints").mkdir()
-    for name in ("notes.txt", "report.html"):
+    (tmp_path / "logs").mkdir()
+    for name in ("notes.txt", "report.html", "logs/1.log"):
         (tmp_path / name).write_text("theirs")
+    with pytest.raises(SettingError, match=f"^out: {tmp_path}/logs/1.log lies where a sweep"):
+        RunDirectory(tmp_path).check_fresh(also=("logs",))  # as of a launch
     with RunDirectory.claimed(tmp_path, fresh=True):
         assert (tmp_path / "notes.txt").read_text() == "theirs"
 

@@ -32,7 +32,7 @@ def test_errors_are_mean_distance_and_mean_difference() -> None:
     rows = [
         {"kept": "x", "product": 0.5, "joint": 0.5, "without_noise": 0.4, "with_noise": 0.5},
         {"kept": "y", "product": 0.2, "joint": 0.4, "without_noise": 0.5, "with_noise": 0.5},
-        {"kept": "x y", "product": 0.1, "joint": 0.9, "without_noise": 0.9, "with_noise": 0.0},
+        {"kept": "x y", "product": 0.1, "joint": 0.9, "without_noise": 0.9, "with_noise": 0.4},
     ]
     table = calibration_errors(rows)
     assert table["product", "without_noise"] == pytest.approx((0.2, -0.1))

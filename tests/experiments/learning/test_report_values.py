@@ -65,9 +65,12 @@ def test_sweeps_of_one_setting_are_taken_together(recorded: Recorded) -> None:
 def test_seeds_that_never_hold_a_success_have_one_end(recorded: Recorded) -> None:
     recorded["one"] = arm("one", [held(5), NEVER])
     recorded["more"] = [run(held(5), 2, "more", epochs=99), run(NEVER[:5], 3, "more")]
-    with pytest.raises(ValueError, match=r"one\+more: seeds that do not hold 90 % have several"):
+    with pytest.raises(ValueError, match=r"one\+more: not all seeds were trained as long for 90 %"):
         report_values.held_by("one+more", "90")
     assert report_values.held_by("more", "90") == "one of two seeds"
+    recorded["more"] = [run(held(7), 2, "more", epochs=99), run(NEVER[:5], 3, "more")]
+    with pytest.raises(ValueError, match="not all seeds were trained as long"):  # 7 is after 5
+        report_values.held_by("more", "90")
 
 
 def test_what_is_said_of_several_is_so_of_each(recorded: Recorded) -> None:

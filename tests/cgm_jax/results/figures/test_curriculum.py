@@ -123,7 +123,9 @@ def test_an_array_that_comes_after_the_first_seed_ended_says_so() -> None:
 
 def test_an_array_without_any_value_says_so() -> None:
     (panel,) = panels(curriculum(run([0.5], **reporting(level_progress=[None, None]))))
-    assert [text.get_text() for text in panel.texts] == ["level_progress: no value in any epoch"]
+    assert [text.get_text() for text in panel.texts] == [
+        "level_progress: no value while all runs trained"
+    ]
 
 
 def test_curricula_that_report_nothing_have_no_figure() -> None:

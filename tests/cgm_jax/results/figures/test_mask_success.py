@@ -60,7 +60,9 @@ def test_a_pair_of_panels_shows_the_best_setting_of_a_curriculum() -> None:
         "reach, DDPG + HER, uniform, batch size 16",
     ]
     assert [len(legend(panel)) for panel in panels(figure)] == [8, 8, 0, 8]
-    assert [text.get_text() for text in panels(figure)[2].texts] == ["no value in any epoch"]
+    assert [text.get_text() for text in panels(figure)[2].texts] == [
+        "no value while all runs trained"
+    ]
 
 
 def test_a_setting_that_left_early_with_success_is_the_best() -> None:
