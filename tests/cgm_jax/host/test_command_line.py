@@ -54,7 +54,7 @@ def test_the_guide_names_all_columns(sweep: Path) -> None:
         for name in re.findall(r"`(\w+)`", line.split(" | ")[0])
     }
     row = json.loads((sweep / "metrics.jsonl").read_text().splitlines()[0])
-    settings = {"env", "seed", "curriculum", "agent", "c_g", "kappa", "her", "cgm"}
+    settings = {"env", "seed", "curriculum", "agent", "c_g", "kappa", "her"}
     assert {*row} - settings == named
 
 

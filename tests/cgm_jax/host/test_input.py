@@ -109,7 +109,8 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Instead of training: what would be trained."""
     plans: list[Any] = []
 
-    def plan(options: Any, asked: Any) -> int:
+    def plan(options: Any, asked: Any, command: Any) -> int:
+        del command
         groups = asked.groups
         if groups is None:
             groups = RunDirectory.open(options.resume).config.groups()
