@@ -160,6 +160,22 @@ def _is_sooner(one: RecordedRun, other: RecordedRun, level: float) -> bool:
     return steps[0] < steps[1]
 
 
+def least_ratio(one: str, other: str, level: str) -> str:
+    """How many times the environment steps of one sweep another takes, in the seed of the least.
+
+    A run of the other that does not hold the success counts as if it did so where it ended.
+    """
+    ones, others = _runs(one), {run.seed: run for run in _runs(other)}
+    if not ones or not others:
+        return NOT_YET
+    ratios = [
+        min(env_steps_to_hold(others[run.seed], int(level) / 100), others[run.seed].budget) / steps
+        for run, steps in zip(ones, _finite_steps(ones, level), strict=True)
+        if run.seed in others
+    ]
+    return f"{math.floor(10 * min(ratios)) / 10:g}"
+
+
 def _held(runs: Sequence[RecordedRun], level: float) -> str:
     return _of_seeds(sum(math.isfinite(env_steps_to_hold(run, level)) for run in runs), runs)
 
@@ -302,6 +318,7 @@ VALUES: dict[str, Callable[..., str]] = {
     "not_trained": not_trained,
     "held_by": held_by,
     "sooner": sooner,
+    "least_ratio": least_ratio,
     "held_at": held_at,
     "points_sooner": points_sooner,
     "budget": budget,

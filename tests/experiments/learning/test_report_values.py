@@ -62,6 +62,18 @@ def test_sweeps_of_one_setting_are_taken_together(recorded: Recorded) -> None:
         report_values.held_by("one+other", "90")
 
 
+def test_the_least_ratio_is_rounded_down_and_counts_never_to_the_end(recorded: Recorded) -> None:
+    recorded["one"] = arm("one", [held(3), held(4), held(5)])
+    recorded["other"] = arm("other", [held(8), NEVER])
+    assert report_values.least_ratio("one", "other", "90") == "2.2"  # of 8 / 3 and 9 / 4
+    recorded["other"] = []
+    assert report_values.least_ratio("one", "other", "90") == NOT_YET
+    recorded["other"] = arm("other", [held(8)])
+    recorded["one"] = arm("one", [NEVER])
+    with pytest.raises(ValueError, match="not all seeds hold 90 %"):
+        report_values.least_ratio("one", "other", "90")
+
+
 def test_seeds_that_never_hold_a_success_have_one_end(recorded: Recorded) -> None:
     recorded["one"] = arm("one", [held(5), NEVER])
     recorded["more"] = [run(held(5), 2, "more", epochs=99), run(NEVER[:5], 3, "more")]
