@@ -16,7 +16,8 @@ from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.machine.commands import begun_with
-from cgm_jax.results.merging import differences, read_parts, write_merged
+from cgm_jax.results.merging import differences, write_merged
+from cgm_jax.results.parts import read_parts
 from cgm_jax.storage.files import refusal
 from cgm_jax.storage.looking import is_there, look_at
 from cgm_jax.storage.run_directory import RunDirectory, claiming

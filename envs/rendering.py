@@ -16,7 +16,6 @@ import os
 import platform
 import weakref
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import mujoco
@@ -188,12 +187,7 @@ class Renderer:
         """The renderer itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Free the drawing surface."""
         self.close()
 

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -65,21 +64,16 @@ class SweepProgress:
 
     def __enter__(self) -> Self:
         if self._redraws:
-            self._live.__enter__()
+            self._live.start(refresh=True)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._redraws:
             if self._bar.tasks[0].total is None:  # refused: nothing has been begun
                 self._live.update(Text())
             elif self._bar.finished:  # a summary comes that lists all runs; once is enough
                 self._live.update(self._bar)
-            self._live.__exit__(kind, error, trace)
+            self._live.stop()
 
     def expect(self, cycles: int) -> None:
         """So many cycles are to be done, summed over the groups of the sweep."""
@@ -159,12 +153,7 @@ class CountProgress:
         self._bar.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
     def show(self, done: int, total: int) -> None:

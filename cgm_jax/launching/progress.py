@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Self
 
 from rich.live import Live
@@ -83,17 +82,12 @@ class JointProgress:
 
     def __enter__(self) -> Self:
         if self._redraws:
-            self._live.__enter__()
+            self._live.start(refresh=True)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._redraws:
-            self._live.__exit__(kind, error, trace)
+            self._live.stop()
 
     def show(self, done: Sequence[int], running: int) -> None:
         """So many parts run, and these are done."""

@@ -4,7 +4,7 @@ import contextlib
 import signal
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Self, TypeVar
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -25,12 +25,7 @@ class Unwinding:
         self._before = {number: signal.signal(number, self._handle) for number in heard}
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 

@@ -2,7 +2,8 @@
 
 figures/       learning curves, epochs to 50 % over c_g, masks, what curricula report
 page/          sweeps as one HTML file, to be read in a browser
-merging.py     parts of a sweep to one; same_names.py names of own code in them
+parts.py       parts of a sweep, read and checked; same_names.py names of own code in them
+merging.py     one run directory from them
 policies.py    success of exported policies, noise-free, with any mask; plan.py what is asked for,
                chosen.py the policies that were chosen
 onnx_model.py  a policy as an ONNX model
