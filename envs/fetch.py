@@ -2,6 +2,7 @@
 
 import math
 import numbers
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax
@@ -97,6 +98,21 @@ class FetchEnvironment(Env):
     def backend(self) -> str:
         """Name of the engine's class."""
         return type(self.physics).__name__
+
+    @property
+    def compiles_physics(self) -> bool:
+        """Whether XLA compiles the engine."""
+        return self.physics.is_compiled
+
+    @property
+    def calls_physics(self) -> bool:
+        """Whether the engine is called, outside of XLA."""
+        return not self.physics.is_compiled
+
+    @property
+    def compiler_options(self) -> Mapping[str, bool]:
+        """XLA's options for programs that have the engine in them, as `jax.jit` takes them."""
+        return self.physics.compiler_options
 
     @property
     def stages(self) -> tuple[Stage, ...]:

@@ -14,7 +14,7 @@ from cgm_jax.envs.quiet_import import State
 class GoalEnvironment(Protocol):
     """A goal-conditioned environment of pure functions, for one episode at a time.
 
-    The trainer vmaps both functions over environments and over runs. `State` is brax's;
+    The trainer vmaps both functions over environments, and maps them over runs. `State` is brax's;
     `State.obs` is a dict of float32 arrays: `observation` [observation_size],
     `achieved_goal` [goal_size] and `desired_goal` [goal_size].
 

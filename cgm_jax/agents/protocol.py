@@ -1,7 +1,7 @@
 """What an agent offers to the loop.
 
 An agent is a class of settings (see `config/fields.py`) with pure functions over a state of its
-own, any flax struct of arrays. All are written for one run; the loop vmaps them over runs, the
+own, any flax struct of arrays. All are written for one run; the loop maps them over runs, the
 settings included. A new agent is one new file with one class derived from `Agent`. It must define
 `critics`, `init`, `act`, `train` and `actor`, and `value` if it has critics.
 

@@ -50,6 +50,7 @@ from cgm_jax.curricula.parts.masks import (
     mask_probabilities,
     mask_success_rates,
 )
+from cgm_jax.curricula.parts.windows import Windows, init_windows, record_episodes, window_rates
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View, with_mask
 
 REPORTED_DRAWS = 1024
@@ -65,7 +66,7 @@ class CGMState(struct.PyTreeNode):
     """
 
     subgoals: SuccessHistory
-    masks: SuccessHistory | None = None
+    masks: Windows | None = None
 
 
 @settings
@@ -101,7 +102,7 @@ class CGM(Curriculum[CGMState]):
         check_tabulated(
             "masked_evaluation_episodes", "measuring masks in curriculum cgm", sizes.goal
         )
-        return CGMState(subgoals, init_history(self.success_history, 2**sizes.goal))
+        return CGMState(subgoals, init_windows(2**sizes.goal, self.success_history))
 
     def sample(self, state: CGMState, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks near the success rate aimed at."""
@@ -118,9 +119,13 @@ class CGM(Curriculum[CGMState]):
         subgoals = record_successes(state.subgoals, outcomes.subgoal_success, outcomes.valid)
         if examined is None or state.masks is None:
             return state.replace(subgoals=subgoals)
-        shape = (self.masked_evaluation_episodes, -1)
-        successes, valid = (x.reshape(shape) for x in (examined.success, examined.valid))
-        return CGMState(subgoals, record_successes(state.masks, successes, valid.all(axis=1)))
+        masks = jnp.arange(state.masks.inserted.shape[0])
+        shape = (self.masked_evaluation_episodes, -1)  # a round of all masks after another
+        rounds = tuple(x.reshape(shape) for x in (examined.success, examined.valid))
+        measured, _ = jax.lax.scan(
+            lambda windows, one: (record_episodes(windows, masks, *one), None), state.masks, rounds
+        )
+        return CGMState(subgoals, measured)
 
     def examination(self, sizes: Sizes) -> Float[Array, "P n"] | None:
         """Equally many episodes per mask, where masks are to be measured."""
@@ -152,7 +157,7 @@ class CGM(Curriculum[CGMState]):
             estimates = mask_success_rates(masks, subgoal_rates(state.subgoals, self.c_g))
         else:
             estimates = joint_success_rates(masks, state.subgoals, self.c_g)
-        return estimates if state.masks is None else success_rates(state.masks, estimates)
+        return estimates if state.masks is None else window_rates(state.masks, estimates)
 
     def probabilities(self, rates: Float[Array, " masks"]) -> Float[Array, " masks"]:
         """Probability of drawing each mask [2^n], given their success rates."""

@@ -1,7 +1,7 @@
 """What a curriculum offers to the loop, and what it is told.
 
 A curriculum is a class of settings (see `config/fields.py`) with pure functions over a state of its
-own, any pytree of arrays. All are written for one run; the loop vmaps them over runs, the settings
+own, any pytree of arrays. All are written for one run; the loop maps them over runs, the settings
 included, so that a sweep varies every traced setting in one program. In order of a cycle:
 
     goals = curriculum.sample(state, key, drawn, view)    # before E training episodes

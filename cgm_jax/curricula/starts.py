@@ -17,7 +17,7 @@ visited recently. While none of these is of intermediate difficulty, any of them
 Needs an environment in which an episode can begin in a given state (`StartableEnvironment`).
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
 from cgm_jax.curricula.parts.candidates import between, draw_eligible, nearest_success
 from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
+from cgm_jax.curricula.parts.rows import where_rows
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 
 
@@ -98,7 +99,7 @@ class Starts(Curriculum[StartsState]):
         kept = jax.random.bernoulli(reset_key, self.reset_share, (count,)) | ~filled.any()
         share = medium.sum(dtype=jnp.float32) / jnp.maximum(filled.sum(dtype=jnp.float32), 1.0)
         return drawn.replace(
-            start=_rows_where(kept, view.first, visited),
+            start=where_rows(kept, view.first, visited),
             desired=jnp.where(kept[:, None], drawn.desired, visited.obs["desired_goal"]),
             memo=jnp.where(filled.any(), share, missing()),
         )
@@ -127,9 +128,3 @@ class Starts(Curriculum[StartsState]):
         return nearest_success(
             values[:, None], known[:, None], begun.success, state.begun.filled, self.neighbours
         )
-
-
-def _rows_where(condition: jax.Array, yes: Any, no: Any) -> Any:
-    """Of two pytrees with leading axes [E], row by row by a condition [E]."""
-    pick = jax.vmap(lambda chosen, one, other: jnp.where(chosen, one, other))
-    return jax.tree.map(lambda one, other: pick(condition, one, other), yes, no)

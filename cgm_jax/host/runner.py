@@ -67,14 +67,16 @@ def run_jobs(
     """
     rows, last, former = [], [], directory.former_metrics()
     known = sum(len(former.get(run.name, ())) for job in jobs for run in job.group.runs)
-    strange = (directory.count_metrics() or 0) > known  # lines that would be lost
+    has_foreign_lines = (directory.count_metrics() or 0) > known
     shard = directory.config.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         progress.compiling()
         job, training = _begin(job, index, directory, compiler)
         if not (training.epoch or training.cycle or training.part):
-            strange = _keep_lost_metrics(job.group, index, directory, former, strange=strange)
+            has_foreign_lines = _keep_lost_metrics(
+                job.group, index, directory, former, has_foreign_lines=has_foreign_lines
+            )
         # What later groups have done stays in the file, however this one ends.
         later = [row for other in jobs[index + 1 :] for row in _former_rows(other.group, former)]
         directory.replace_metrics(rows + training.rows + later)
@@ -206,7 +208,7 @@ def _keep_lost_metrics(
     directory: RunDirectory,
     former: Mapping[str, Sequence[Row]],
     *,
-    strange: bool,
+    has_foreign_lines: bool,
 ) -> bool:
     """Say that a group begins anew, if it had begun before, and keep metrics lost by that.
 
@@ -215,7 +217,7 @@ def _keep_lost_metrics(
         index: its number.
         directory: what an earlier process has written, if there was one.
         former: what can be read of its rows, by run.
-        strange: whether it also has lines that are no rows of this sweep's runs.
+        has_foreign_lines: whether its metrics also have lines that are no rows of this sweep.
 
     Returns:
         Whether such lines are still in its metrics.
@@ -223,9 +225,9 @@ def _keep_lost_metrics(
     Raises:
         OSError: the metrics cannot be set aside.
     """
-    kept = strange or bool(_former_rows(group, former))
+    kept = has_foreign_lines or bool(_former_rows(group, former))
     if not kept and (index or directory.count_metrics() is None):
-        return strange
+        return has_foreign_lines
     note = f"no checkpoint of group {index}: it begins anew"
     if kept:
         note += f", and the metrics until now are kept as {directory.set_metrics_aside()}"
@@ -257,7 +259,7 @@ def _train(
             if _is_finished(job.group, training):
                 recorder.save(training)
                 continue
-            # A signal does not wait for what it could not wait for: that begins with a checkpoint.
+            # What may take longer than a signal waits begins with a checkpoint, to be cut off.
             must = interruption.requested or _may_outlast_patience(job, training, recorder, pace)
             saved = recorder.try_to_save(training) if must else recorder.save_if_due(training)
             if saved:
@@ -274,10 +276,10 @@ def _may_outlast_patience(
 ) -> bool:
     """Whether what comes next may take longer than a signal can wait, with a checkpoint after it.
 
-    Where checkpoints take long it is said less often than it is so: a fifth of the time is enough.
-    Of what is the first of its kind in this process nothing is known. It is taken for as long as
-    what would be lost; and an evaluation for longer than patience while it compiles, if more than a
-    chunk would be lost.
+    False, too, until training has gone unsaved for four times as long as saving takes, so that
+    saving takes at most a fifth of the time. How long the first of a kind in this process takes is
+    not known: it is taken for as long as what would be lost is; and an evaluation that has yet to
+    compile for longer than patience, if more than a chunk would be lost.
     """
     if recorder.unsaved_seconds() < 4 * recorder.save_seconds:
         return False

@@ -3,10 +3,8 @@
 Runs are independent, so each device takes its share of them and never waits for another. Where
 they do not divide, rows are left over at the end of the axis; nobody trains or reads them.
 
-A GPU trains its runs side by side, under `jax.vmap`. A CPU trains them one after another: the
-program of a run is then the same, instruction by instruction, however many runs there are on
-however many devices, and so are its bits. Under vmap XLA fuses and vectorises differently for
-every number of runs.
+A GPU trains its runs side by side, under `jax.vmap`. A CPU trains them one after another, so that
+their bits are the same on however many devices (in_turn.py).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,4 +1,8 @@
-"""The environment that a setting names: a Fetch task, or one from the user's own file."""
+"""The environment that a setting names: a Fetch task, or one from the user's own file.
+
+And what the project's own environments, and the wrapper around a user's, say of how they are
+computed, beside `envs.GoalEnvironment`.
+"""
 
 import shlex
 
@@ -20,7 +24,6 @@ from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.hosted.process import INTERPRETER, HostedProcess, other_interpreter
 from cgm_jax.envs.hosted.task import HostedTask
-from cgm_jax.envs.physics.native import NativePhysics
 from cgm_jax.loop.own_checks import checked
 
 
@@ -66,26 +69,22 @@ def compiles_physics(env: GoalEnvironment) -> bool:
 
     The native engine calls MuJoCo instead, and an environment of few operations does not count.
     """
-    if isinstance(env, FetchEnvironment):
-        return not isinstance(env.physics, NativePhysics)
-    return getattr(env, "is_large", False)
+    return getattr(env, "compiles_physics", False)
 
 
 def calls_physics(env: GoalEnvironment) -> bool:
     """Whether an environment calls its physics outside of XLA: MuJoCo's own, or another process."""
-    if isinstance(env, FetchEnvironment):
-        return isinstance(env.physics, NativePhysics)
-    return is_hosted(env)
+    return getattr(env, "calls_physics", False)
 
 
 def compiler_options(env: GoalEnvironment) -> dict[str, bool]:
     """XLA's options for programs that have an environment in them."""
-    return dict(env.physics.compiler_options) if isinstance(env, FetchEnvironment) else {}
+    return dict(getattr(env, "compiler_options", {}))
 
 
 def is_hosted(env: GoalEnvironment) -> bool:
     """Whether an environment's episodes are simulated in another process, one simulator each."""
-    return isinstance(env, HostedTask)
+    return getattr(env, "is_hosted", False)
 
 
 def _hosted(name: str) -> GoalEnvironment:
@@ -107,5 +106,7 @@ def _from_file(name: str) -> GoalEnvironment:
     factory = load_named("env", name)
     with user_code("env", name):
         env = factory()
-    # A Fetch environment with other values checks itself, and can be rendered as it is.
-    return env if isinstance(env, FetchEnvironment) else checked(env, name)
+    if type(env) is FetchEnvironment:  # with other values, which it checks itself
+        return env
+    own = checked(env, name)
+    return env if isinstance(env, FetchEnvironment) else own  # compiled and rendered as what it is

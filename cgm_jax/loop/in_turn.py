@@ -55,10 +55,10 @@ def in_place(function: Callable[..., Any], count: jax.Array) -> Callable[..., An
 
 
 def _apart(index: jax.Array, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function that XLA does not fuse with what is around it.
+    """Call a function that XLA neither fuses with what is around it nor moves out of the loop.
 
-    Nor takes out of the loop: of a single row nothing but the barrier depends on the turn, and so
-    a device without runs would compute one.
+    With a single row nothing but the barrier depends on the turn. Moved out of the loop, the
+    function would be computed also on a device that has no runs.
     """
     barrier = jax.lax.optimization_barrier
     arguments, _ = barrier((arguments, index))

@@ -24,7 +24,7 @@ SPARSE = (-1.0, 0.0)
 
 def has_own_rules(env: GoalEnvironment) -> bool:
     """Whether success is not a matter of distance below a threshold."""
-    return hasattr(env, "goal_success")
+    return _success_rule(env) is not None
 
 
 def succeeds(
@@ -43,22 +43,23 @@ def succeeds(
         achieved_goal: [..., n].
         threshold: [...], not read where the environment has a rule of its own.
     """
-    if not has_own_rules(env):
+    rule = _success_rule(env)
+    if rule is None:
         return is_achieved(goal, mask, achieved_goal, threshold)
-    masked = apply_mask(goal, mask, achieved_goal)
-    return _mapped(env.goal_success, achieved_goal, masked)  # pyright: ignore
+    return _mapped(rule, achieved_goal, apply_mask(goal, mask, achieved_goal))
 
 
 def subgoals_succeed(
     env: GoalEnvironment, goal: jax.Array, achieved_goal: jax.Array, distance_threshold: float
 ) -> jax.Array:
     """Whether each dimension of whole goals [..., n] is achieved, [..., n]."""
-    if not has_own_rules(env):
+    rule = _success_rule(env)
+    if rule is None:
         return jnp.abs(achieved_goal - goal) < distance_threshold
     single = jnp.eye(goal.shape[-1])
     masked = apply_mask(goal[..., None, :], single, achieved_goal[..., None, :])
     achieved = jnp.broadcast_to(achieved_goal[..., None, :], masked.shape)
-    return _mapped(env.goal_success, achieved, masked)  # pyright: ignore
+    return _mapped(rule, achieved, masked)
 
 
 def rewards(env: GoalEnvironment, drawn: Transitions) -> jax.Array:
@@ -67,15 +68,15 @@ def rewards(env: GoalEnvironment, drawn: Transitions) -> jax.Array:
     Raises:
         SettingError: the relabelling does not say what was achieved.
     """
-    own_reward = getattr(env, "goal_reward", None)
-    if own_reward is None and not has_own_rules(env):
+    own_reward, rule = getattr(env, "goal_reward", None), _success_rule(env)
+    if own_reward is None and rule is None:
         return drawn.reward
     if drawn.next_achieved is None:
         raise SettingError("relabelling: must fill next_achieved, since env has its own rules")
     if own_reward is not None:
         return _mapped(own_reward, drawn.next_achieved, drawn.next_goal)
-    success = _mapped(env.goal_success, drawn.next_achieved, drawn.next_goal)  # pyright: ignore
-    own = jnp.where(success, 0.0, -1.0)
+    assert rule is not None
+    own = jnp.where(_mapped(rule, drawn.next_achieved, drawn.next_goal), 0.0, -1.0)
     if drawn.subgoal is None:
         return own
     # A stage has no rule but its threshold.
@@ -84,13 +85,31 @@ def rewards(env: GoalEnvironment, drawn: Transitions) -> jax.Array:
 
 
 def reward_range(env: GoalEnvironment) -> tuple[float, float]:
-    """Least and greatest reward."""
-    return getattr(env, "reward_range", SPARSE) if hasattr(env, "goal_reward") else SPARSE
+    """Least and greatest reward.
+
+    Raises:
+        SettingError: the environment has rewards of its own, but does not say what they lie within.
+    """
+    if not hasattr(env, "goal_reward"):
+        return SPARSE
+    own = getattr(env, "reward_range", None)
+    if own is None:
+        raise SettingError("env: it has goal_reward, so it needs reward_range, (least, greatest)")
+    return own
 
 
 def may_end(env: GoalEnvironment) -> bool:
     """Whether the environment ends episodes before their last step."""
     return hasattr(env, "is_terminal")
+
+
+def _success_rule(env: GoalEnvironment) -> Rule | None:
+    """The environment's own, of which there is one at most: a function, or a tolerance."""
+    rule, tolerance = getattr(env, "goal_success", None), getattr(env, "goal_tolerance", None)
+    if tolerance is None:
+        return rule
+    unit = jnp.asarray(tolerance, jnp.float32)
+    return lambda achieved, desired: jnp.linalg.norm((achieved - desired) / unit) < 1.0
 
 
 def _mapped(rule: Rule, achieved_goal: jax.Array, goal: jax.Array) -> jax.Array:

@@ -12,7 +12,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.divergence import freeze_if_failed
 from cgm_jax.loop.inputs import network_inputs
-from cgm_jax.loop.judging import reward_range, rewards
+from cgm_jax.loop.judging import may_end, reward_range, rewards
 from cgm_jax.loop.setup import Setup, sizes
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.replay.ring import size
@@ -24,11 +24,17 @@ def minibatches(
     """All minibatches of a cycle, or of a part of it, [updates, batch_size, ...].
 
     Replay and normaliser stay put during the updates, so that one draw serves them all.
+
+    Raises:
+        SettingError: the relabelling leaves out what the environment makes necessary.
     """
     updates, batch_size = sizes(setup, hyper).updates_at_once, setup.settings.batch_size
     drawn = hyper.relabelling.sample(
         key, state.replay, updates * batch_size, setup.env.distance_threshold, setup.stages
     )
+
+    if may_end(setup.env) and drawn.continues is None:
+        raise SettingError("relabelling: must fill continues, since env ends episodes")
 
     def see(observation: jax.Array, goal: jax.Array, subgoal: jax.Array | None) -> jax.Array:
         return network_inputs(
@@ -66,17 +72,21 @@ def learn(
     )
     learned = size(state.replay) > 0
     failure, agent = freeze_if_failed(state.failure, state.agent, agent, learned)
-    losses = {name: total + info[name].sum() for name, total in state.statistics.losses.items()}
+    losses = {
+        name: total + jnp.where(learned, info[name].sum(), 0.0)
+        for name, total in state.statistics.losses.items()
+    }
     logged = {info[name].size for name in losses} or {0}
     if len(logged) > 1:
         raise SettingError("agent: what train logs are arrays of different lengths")
-    updates = sizes(setup, hyper).updates_at_once
+    updates = jnp.where(learned, sizes(setup, hyper).updates_at_once, 0)
     return state.replace(
         agent=agent,
         failure=failure,
         updates=state.updates + jnp.where(failure == 0, updates, 0),
         statistics=state.statistics.replace(
-            losses=losses, updates=state.statistics.updates + logged.pop()
+            losses=losses,
+            updates=state.statistics.updates + jnp.where(learned, float(logged.pop()), 0.0),
         ),
     )
 

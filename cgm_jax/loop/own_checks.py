@@ -40,8 +40,8 @@ def checked(env: Any, name: str) -> GoalEnvironment:
     with user_code("env", name):  # whatever it says of names that it need not have
         own = OwnEnvironment(env, name)
     _check_shapes(own, env, name)
-    own.is_large = _operations(own) > FEW_OPERATIONS
-    if not own.is_large:
+    own.compiles_physics = _operations(own) > FEW_OPERATIONS
+    if not own.compiles_physics:
         _check_values(own, name)
     return own  # pyright: ignore[reportReturnType] -- its State is not brax's
 
@@ -49,7 +49,7 @@ def checked(env: Any, name: str) -> GoalEnvironment:
 def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
     """Trace the environment's own rules, without running them."""
     goal = jax.ShapeDtypeStruct(first.state.obs["desired_goal"].shape, np.float32)
-    tolerance = getattr(own, "_tolerance", None)
+    tolerance = getattr(own, "goal_tolerance", None)
     if tolerance is not None and tolerance.shape != goal.shape:
         raise SettingError(
             f"env: goal_tolerance of {name} has shape {tolerance.shape}, goals have {goal.shape}"

@@ -32,7 +32,7 @@ class OwnState(struct.PyTreeNode):
 
     Attributes:
         state: the environment's own, always of the structure, shapes and types of its `reset`.
-        warnings: above 0 if its physics broke in the last step, float32 scalar.
+        warnings: above 0 if its physics broke on the way to this state, float32 scalar.
     """
 
     state: Any
@@ -56,7 +56,7 @@ class OwnEnvironment:
         action_size, episode_length, distance_threshold: see `GoalEnvironment`.
         stages: see `StagedEnvironment`; empty where there are none.
         remarks: lines about what is allowed but hardly meant.
-        is_large: whether compiling it is a matter of minutes and of much memory.
+        compiles_physics: whether compiling it is a matter of minutes and of much memory.
     """
 
     def __init__(self, env: Any, name: str) -> None:
@@ -65,7 +65,7 @@ class OwnEnvironment:
         self.episode_length = whole_number(env, name, "episode_length", MAX_EPISODE_LENGTH)
         self.distance_threshold = distance_threshold_of(env, name)
         self.remarks: list[str] = []
-        self.is_large = False
+        self.compiles_physics = False
         if hasattr(env, "restart"):  # optional in the protocol
             self.restart = self._restart
         self.stages = stages_of(env, name)
@@ -77,8 +77,7 @@ class OwnEnvironment:
     def _take_rules(self, env: Any, name: str) -> None:
         """What the environment has of a `JudgingEnvironment`."""
         if hasattr(env, "goal_tolerance"):
-            self._tolerance = tolerance_of(env, name)
-            self.goal_success = self._within_tolerance
+            self.goal_tolerance = tolerance_of(env, name)
         if hasattr(env, "goal_success"):
             self.goal_success = lambda achieved, desired: jnp.asarray(
                 env.goal_success(achieved, desired), bool
@@ -91,18 +90,15 @@ class OwnEnvironment:
         if hasattr(env, "is_terminal"):
             self.is_terminal = lambda state: jnp.asarray(env.is_terminal(state.state), bool)
 
-    def _within_tolerance(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
-        return jnp.linalg.norm((achieved_goal - desired_goal) / self._tolerance) < 1.0
-
     def reset(self, rng: jax.Array) -> OwnState:
         """Start an episode."""
         state = self._env.reset(rng)
-        return OwnState(jax.tree.map(retyped, state, state), jnp.zeros(()))
+        return OwnState(jax.tree.map(retyped, state, state), warnings_of(state))
 
     def _restart(self, state: OwnState) -> OwnState:
         """Start an episode in a state that another one has visited."""
         after = self._env.restart(state.state)
-        return OwnState(as_before(state.state, after), jnp.zeros(()))
+        return OwnState(as_before(state.state, after), warnings_of(after))
 
     def _render_frame(self, state: Any, width: int, height: int) -> np.ndarray:
         """A frame of a state of the user's environment, concrete.

@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool
 
+from cgm_jax.curricula.parts.rows import where_rows
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.goals import apply_mask
@@ -187,11 +187,11 @@ def _step_of(
         next_state = jax.vmap(env.step)(state, action)
         ended = None if ends is None else ends(state)
         if ended is not None:
-            next_state = choose(ended, state, next_state)
-        warnings = next_state.metrics.get("physics_warnings", jnp.zeros(count))
+            next_state = where_rows(ended, state, next_state)
+        warnings = _warnings(state, count)
         if visits is not None:
             now_visited = visits == index if ends is None else visits[index] & ~ends(next_state)
-            visited = choose(now_visited, next_state, visited)
+            visited = where_rows(now_visited, next_state, visited)
         left = (observation, achieved, action, warnings, ended, keep(state))
         return (next_state, visited, visits), left
 
@@ -215,15 +215,15 @@ def _finished(
         threshold=goals.threshold,
         length=None if ended is None else _length(ended, jax.vmap(env.is_terminal)(last)),  # pyright: ignore
     )
-    rollout = _judge(env, episodes, goals, warnings.sum(axis=0))
+    broken = warnings.sum(axis=0) + _warnings(last, goals.mask.shape[0])
+    rollout = _judge(env, episodes, goals, broken)
     record = jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), kept, keep(last))
     return rollout.replace(record=record, outcomes=rollout.outcomes.replace(visited=visited))
 
 
-def choose(condition: Bool[Array, " E"], yes: State, no: State) -> State:
-    """Of two batches of states with leading axis [E], row by row by a condition [E]."""
-    pick = jax.vmap(lambda chosen, x, y: jnp.where(chosen, x, y))
-    return jax.tree.map(lambda x, y: pick(condition, x, y), yes, no)
+def _warnings(state: State, count: int) -> jax.Array:
+    """Whose physics broke on the way to this state: above 0, [E]."""
+    return state.metrics.get("physics_warnings", jnp.zeros(count))
 
 
 def _length(ended: jax.Array, ended_at_last: jax.Array) -> jax.Array:

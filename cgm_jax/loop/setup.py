@@ -11,7 +11,7 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.masks import MAX_TABULATED
 from cgm_jax.envs import GoalEnvironment, Stage
 from cgm_jax.loop.cutting import is_cut, updates_at_once
-from cgm_jax.loop.judging import has_own_rules, may_end
+from cgm_jax.loop.judging import has_own_rules, may_end, reward_range
 from cgm_jax.loop.normaliser import init_normaliser
 from cgm_jax.loop.state import TrainingState, init_statistics
 from cgm_jax.replay.ring import init_replay
@@ -136,10 +136,9 @@ def _check_together(setup: Setup, hyper: Hyperparameters, critics: int) -> None:
         SettingError: they do not.
     """
     env, curriculum, relabelling = setup.env, hyper.curriculum, hyper.relabelling
-    name, relabels = (
-        type(part).__module__.rpartition(".")[2] for part in (curriculum, relabelling)
-    )
+    name, relabels = _called(curriculum), _called(relabelling)
     has_own_rewards = hasattr(env, "goal_reward")
+    reward_range(env)  # which it has to say, if so
     if critics < curriculum.needs_critics:
         least = curriculum.needs_critics
         raise SettingError(f"critics: {critics}, but curriculum {name} needs {least} or more")
@@ -160,3 +159,9 @@ def _check_together(setup: Setup, hyper: Hyperparameters, critics: int) -> None:
             f"curriculum: {name} varies the distance threshold, but env has a rule of success "
             "of its own"
         )
+
+
+def _called(part: object) -> str:
+    """A component's name: that of its option, or that of its class where it is the user's own."""
+    module = type(part).__module__
+    return module.rpartition(".")[2] if module.startswith("cgm_jax.") else type(part).__name__

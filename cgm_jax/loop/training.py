@@ -17,7 +17,6 @@ import jax
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cutting import Parts
-from cgm_jax.loop.cycle import cycle
 from cgm_jax.loop.devices import (
     ON_EACH,
     SPREAD,
@@ -43,8 +42,8 @@ class Trainer(NamedTuple):
         setup: the environment and the static settings.
         init: from hyperparameters to the state before any training.
         parts: how the cycles of a run are cut, see `cutting.py`.
-        train: so many cycles, or parts of them where they are cut; then `jax.vmap` of it takes
-            every part for all kinds of them.
+        train: so many cycles, or parts of them where they are cut; then each part computes, under
+            `jax.vmap`, what all kinds of parts do.
         evaluate: close an epoch: noise-free episodes, and its metrics.
         epoch: `cycles_per_epoch` cycles, then `evaluate`.
     """
@@ -90,11 +89,10 @@ def train(
 def epoch(
     setup: Setup, state: TrainingState, hyper: Hyperparameters
 ) -> tuple[TrainingState, Metrics]:
-    """One epoch, between which no cycle is unfinished: `cycles_per_epoch` cycles, an evaluation."""
-    state = jax.lax.fori_loop(
-        0, setup.settings.cycles_per_epoch, lambda _, state: cycle(setup, state, hyper), state
-    )
-    return evaluate(setup, state, hyper)
+    """One epoch: `cycles_per_epoch` cycles, of which one may have begun, and an evaluation."""
+    parts = setup.settings.cycles_per_epoch * parts_of_cycle(setup, hyper).total
+    begun = state.unfinished.done if setup.is_cut else 0
+    return evaluate(setup, train(setup, state, hyper, parts - begun), hyper)
 
 
 SELDOM_RUN = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}

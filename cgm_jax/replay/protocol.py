@@ -1,7 +1,8 @@
 """What a way to relabel offers to the loop: minibatches of transitions from the replay ring.
 
-It is a class of settings (see `config/fields.py`) with one pure function of one run, which the loop
-vmaps over runs, the settings included: `sample`, which it must define.
+It is a class of settings (see `config/fields.py`) with pure functions of one run, which the loop
+maps over runs, the settings included: `sample`, which it must define, and `pursued`, if it needs
+stages.
 """
 
 from abc import abstractmethod
@@ -73,7 +74,7 @@ class Relabelling(Protocol):
 
         Args:
             key: consumed.
-            replay: holds at least one episode.
+            replay: may hold no episode yet; then what is drawn is thrown away.
             count: how many.
             distance_threshold: of the environment.
             stages: of the environment, see `envs.StagedEnvironment`.

@@ -53,9 +53,12 @@ class HostedTask:
         remarks: lines about what is allowed but hardly meant.
         states_are_whole: whether an episode can go on from a state in a new process; no, so that a
             rollout is never cut.
+        is_hosted: whether its episodes are simulated in another process, one simulator each.
+        calls_physics: whether its physics is called, outside of XLA.
     """
 
     states_are_whole = False
+    is_hosted = calls_physics = True
 
     def __init__(self, process: HostedProcess) -> None:
         """The task whose rows live in `process`."""

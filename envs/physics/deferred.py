@@ -41,6 +41,11 @@ class DeferredPhysics:
         _ = self._engine
 
     @property
+    def is_compiled(self) -> bool:
+        """Whether XLA compiles the engine."""
+        return self._engine.is_compiled
+
+    @property
     def compiler_options(self) -> Mapping[str, bool]:
         """XLA's options for programs that have the engine in them."""
         return COMPILER_OPTIONS[self._name]

@@ -50,6 +50,7 @@ def out_of_range(positions: jax.Array, velocities: jax.Array) -> jax.Array:
 class MjxPhysics:
     """The `mjx` engine. See `envs.physics.protocol.Physics`."""
 
+    is_compiled = True
     compiler_options = COMPILER_OPTIONS["mjx"]
 
     def __init__(self, scene: Scene) -> None:

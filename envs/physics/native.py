@@ -42,6 +42,7 @@ SENSOR_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL.value)
 class NativePhysics:
     """The `native` engine. See `envs.physics.protocol.Physics`."""
 
+    is_compiled = False
     compiler_options = COMPILER_OPTIONS["native"]
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:

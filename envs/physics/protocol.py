@@ -30,7 +30,16 @@ class PhysicsState(struct.PyTreeNode):
 
 
 class Physics(Protocol):
-    """A physics engine: pure functions of one simulation, vmappable to any depth."""
+    """A physics engine: pure functions of one simulation, vmappable to any depth.
+
+    Attributes:
+        is_compiled: whether its steps are part of the programs that XLA compiles.
+    """
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether XLA compiles it."""
+        ...
 
     @property
     def compiler_options(self) -> Mapping[str, bool]:

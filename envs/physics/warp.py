@@ -38,6 +38,7 @@ REMARKS = int(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS)
 class WarpPhysics:
     """The `warp` engine. See `envs.physics.protocol.Physics`."""
 
+    is_compiled = True
     compiler_options = COMPILER_OPTIONS["warp"]
 
     def __init__(

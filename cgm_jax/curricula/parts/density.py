@@ -23,7 +23,7 @@ def log_density(
     """
     count, dimensions = samples.shape
     squares = _squares(points, samples, bandwidth)
-    return logsumexp(-0.5 * squares, axis=-1) - _normaliser(count, dimensions, bandwidth)
+    return logsumexp(-0.5 * squares, axis=-1) - _log_constant(count, dimensions, bandwidth)
 
 
 def log_density_of_others(samples: Float[Array, "m n"], bandwidth: ArrayLike) -> Float[Array, " m"]:
@@ -34,7 +34,7 @@ def log_density_of_others(samples: Float[Array, "m n"], bandwidth: ArrayLike) ->
     count, dimensions = samples.shape
     squares = _squares(samples, samples, bandwidth)
     squares = jnp.where(jnp.eye(count, dtype=bool), jnp.inf, squares)
-    return logsumexp(-0.5 * squares, axis=-1) - _normaliser(count - 1, dimensions, bandwidth)
+    return logsumexp(-0.5 * squares, axis=-1) - _log_constant(count - 1, dimensions, bandwidth)
 
 
 def _squares(points: jax.Array, samples: jax.Array, bandwidth: ArrayLike) -> jax.Array:
@@ -42,5 +42,5 @@ def _squares(points: jax.Array, samples: jax.Array, bandwidth: ArrayLike) -> jax
     return jnp.sum(jnp.square((points[..., None, :] - samples) / bandwidth), axis=-1)
 
 
-def _normaliser(count: int, dimensions: int, bandwidth: ArrayLike) -> jax.Array:
+def _log_constant(count: int, dimensions: int, bandwidth: ArrayLike) -> jax.Array:
     return math.log(count) + dimensions * (0.5 * math.log(2 * math.pi) + jnp.log(bandwidth))

@@ -1,4 +1,4 @@
-"""What became of the latest training episodes of each thing to practise: success, and its change.
+"""What became of the latest episodes of each thing to practise: success, and its change.
 
 Things are masks or thresholds, by number. As Colas et al. (2019, CURIOUS) and Fournier et al. do,
 progress compares the two halves of a window: the success rate over the newer half of the episodes

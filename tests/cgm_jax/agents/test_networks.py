@@ -1,5 +1,6 @@
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
@@ -18,14 +19,19 @@ KEY = jax.random.key(0)
 INPUTS, ACTION = jnp.ones((5, 4, 3)), jnp.zeros((5, 4, 2))
 
 
-def test_shapes_are_those_that_the_annotations_tell() -> None:
+def test_several_critics_are_each_and_the_mean_actor_acts_without_noise() -> None:
     critics = tuple(init_critic(key, (8,), 3, 2) for key in jax.random.split(KEY, 3))
-    assert apply_critic(critics[0], INPUTS, ACTION).shape == (5, 4)
-    assert apply_critics(critics, INPUTS, ACTION).shape == (3, 5, 4)
+    values = apply_critics(critics, INPUTS, ACTION)
+    assert values.shape == (3, 5, 4)
+    for value, critic in zip(values, critics, strict=True):
+        np.testing.assert_array_equal(value, apply_critic(critic, INPUTS, ACTION))
+    assert len(set(np.asarray(values[:, 0, 0]).tolist())) == 3
     gaussian = init_gaussian_actor(KEY, (8,), 3, 2)
     mean, log_std = apply_gaussian_actor(gaussian, INPUTS)
     assert mean.shape == log_std.shape == (5, 4, 2)
-    assert apply_actor(mean_actor(gaussian), INPUTS).shape == (5, 4, 2)
+    np.testing.assert_allclose(
+        apply_actor(mean_actor(gaussian), INPUTS), np.tanh(mean), rtol=1e-6, atol=1e-7
+    )
 
 
 def test_annotations_are_checked_in_tests() -> None:

@@ -14,6 +14,7 @@ from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
+from cgm_jax.loop.own_checks import checked
 from cgm_jax.loop.rollout import drawn_goals, reset
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
@@ -209,9 +210,10 @@ def test_no_type_is_promoted(name: str) -> None:
     assert_no_type_is_promoted(TRAINER, stack(two_runs(name)))
 
 
-def test_with_64_bits_its_state_keeps_its_types(name: str) -> None:
+@pytest.mark.parametrize("wrap", [lambda env: env, lambda env: checked(env, "it")])
+def test_with_64_bits_its_state_keeps_its_types(name: str, wrap: Any) -> None:
     with jax.enable_x64(True):
-        trainer, hyper = make_trainer(ENV, SETTINGS), two_runs(name)[0]
+        trainer, hyper = make_trainer(wrap(ENV), SETTINGS), two_runs(name)[0]
         before = jax.eval_shape(trainer.init, hyper)
         after, _ = jax.eval_shape(trainer.epoch, before, hyper)
     kept = jax.tree.map(lambda one, other: one.dtype == other.dtype, before, after)

@@ -10,7 +10,8 @@ import pytest
 from cgm_jax import envs
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
-from cgm_jax.loop.environment import make_environment, remarks_on
+from cgm_jax.loop.environment import calls_physics, make_environment, remarks_on
+from cgm_jax.loop.judging import succeeds
 from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
 from tests.cgm_jax import own_environments
 from tests.cgm_jax.own_environments import Base
@@ -178,3 +179,28 @@ def test_settings_of_the_fetch_tasks_are_refused_for_other_environments(tmp_path
 def test_a_fetch_environment_from_a_file_is_used_as_it_is(tmp_path: Path) -> None:
     code = "from cgm_jax import envs\ndef easy(): return envs.make('reach', 'native')\n"
     assert type(make(tmp_path, code, "easy")).__name__ == "FetchEnvironment"
+
+
+RULED = """
+import dataclasses
+import jax.numpy as jnp
+from cgm_jax import envs
+from cgm_jax.envs.fetch import FetchEnvironment
+
+class Ruled(FetchEnvironment):
+    goal_tolerance = jnp.array([0.1, 0.1, SIZE])
+
+def ruled():
+    plain = envs.make("reach", "native")
+    return Ruled(**{field.name: getattr(plain, field.name) for field in dataclasses.fields(plain)})
+"""
+
+
+def test_a_fetch_environment_with_own_rules_is_checked_and_compiled_as_one(tmp_path: Path) -> None:
+    env: Any = make(tmp_path, RULED.replace("SIZE", "0.01"), "ruled")
+    assert type(env).__name__ == "Ruled"
+    assert calls_physics(env)
+    off = jnp.array([0.07, 0.06, 0.0])  # 0.92 tolerances
+    assert bool(succeeds(env, jnp.zeros(3), jnp.ones(3), off, jnp.asarray(0.05)))
+    with pytest.raises(SettingError, match=r"goal_tolerance of .* is .*, not one number per"):
+        make(tmp_path, RULED.replace("SIZE", "0.0"), "ruled")

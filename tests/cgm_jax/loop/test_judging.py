@@ -12,7 +12,8 @@ import pytest
 from brax.envs.base import State
 
 from cgm_jax.agents.ddpg import DDPG
-from cgm_jax.config.fields import SettingError, stack
+from cgm_jax.config.fields import SettingError, settings, stack
+from cgm_jax.curricula.accuracy import Accuracy
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.cycle import plan
 from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
@@ -21,6 +22,7 @@ from cgm_jax.loop.own_checks import checked
 from cgm_jax.loop.rollout import Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import init_state, make_setup
 from cgm_jax.loop.training import make_trainer
+from cgm_jax.replay.future import Future
 from cgm_jax.replay.ring import insert
 from tests.cgm_jax.agents.oracle import SIZES, action_value, example_batch, in_numpy
 from tests.cgm_jax.own_environments import Base
@@ -67,6 +69,7 @@ def env() -> Any:
     return checked(Ruled(), "Ruled")
 
 
+@pytest.mark.parametrize("env", [Ruled(), checked(Ruled(), "Ruled")], ids=["raw", "checked"])
 def test_distance_is_measured_in_tolerances_and_masked_dimensions_count_as_achieved(
     env: Any,
 ) -> None:
@@ -279,6 +282,42 @@ def test_curricula_that_reckon_with_sparse_rewards_are_refused(env: Any) -> None
     assert str(refusal.value) == "curriculum: mega needs rewards of -1 or 0, and env has its own"
     square = make_setup(checked(Square(), "Square"), TINY)  # whose rewards are -1 or 0
     assert init_state(square, tiny(curriculum="mega")).curriculum.cutoff == -3.0
+
+
+@pytest.mark.parametrize("kind", [Rewarding, Square])
+def test_refusals_call_an_own_curriculum_by_its_class(kind: type) -> None:
+    class Tightening(Accuracy):
+        """Of the user's own."""
+
+    hyper = dataclasses.replace(tiny(), curriculum=Tightening())
+    with pytest.raises(
+        SettingError, match=r"^curriculum: Tightening varies the distance threshold"
+    ):
+        init_state(make_setup(checked(kind(), "it"), TINY), hyper)
+
+
+def test_rewards_without_a_range_are_refused_before_any_training() -> None:
+    with pytest.raises(SettingError, match=r"^env: it has goal_reward, so it needs reward_range"):
+        make_trainer(NoRange(), TINY).init(tiny())
+
+
+@settings
+class Endless(Future):
+    """Says of no state that it is terminal."""
+
+    def sample(self, *arguments: Any, **others: Any) -> Any:
+        return super().sample(*arguments, **others).replace(continues=None)
+
+
+def test_a_way_to_relabel_says_which_states_are_terminal_where_the_environment_ends_episodes(
+    env: Any,
+) -> None:
+    hyper = dataclasses.replace(tiny(), relabelling=Endless())
+    state = jax.eval_shape(make_trainer(env, TINY).init, hyper)
+    with pytest.raises(SettingError, match=r"^relabelling: must fill continues, since env ends"):
+        jax.eval_shape(make_trainer(env, TINY).train, state, hyper, 1)
+    square = make_trainer(checked(Square(), "Square"), TINY)  # which ends none
+    jax.eval_shape(square.train, jax.eval_shape(square.init, hyper), hyper, 1)
 
 
 class NoRange(Ruled):

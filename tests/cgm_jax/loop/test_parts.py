@@ -14,12 +14,14 @@ from cgm_jax import envs
 from cgm_jax.config.components import builtin
 from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.settings import Settings
-from cgm_jax.envs.hosted.task import HostedTask
+from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop import cutting
 from cgm_jax.loop.cutting import WHOLE, Parts, is_cut, updates_at_once
-from cgm_jax.loop.cycle import cycle
+from cgm_jax.loop.cycle import carry_out, plan, store
+from cgm_jax.loop.learning import learn_part
+from cgm_jax.loop.rollout import roll_out
+from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Trainer, make_programs, make_trainer
 from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.protocols import assert_same
@@ -136,10 +138,22 @@ def test_a_cycle_in_parts_is_a_rollout_and_its_updates(case: str) -> None:
     after = train(train(halfway, hyper, 1), hyper, parts.total)  # far into the next cycle
     after = train(after, hyper, parts.total - parts.rollout - 1)
     assert int(after.unfinished.done) == 0
-    reference = jax.jit(lambda state: cycle(trainer.setup, state, hyper))
+    reference = jax.jit(lambda state: whole_cycle(trainer, state, hyper, parts))
     expected = reference(reference(start))
     assert int(after.updates) == int(expected.updates) == 2 * TINY.updates_per_cycle
     assert_close(after.replace(unfinished=None), expected.replace(unfinished=None))
+
+
+def whole_cycle(
+    trainer: Trainer, state: TrainingState, hyper: Hyperparameters, parts: Parts
+) -> TrainingState:
+    """What the parts of a cycle come to: its rollout in one scan, then its updates."""
+    setup = trainer.setup
+    planned = plan(setup, state, hyper)
+    state = store(setup, state, hyper, carry_out(setup, state, hyper, planned, roll_out))
+    for index in range(parts.updates):
+        state = learn_part(setup, state, hyper, planned.draw_key, planned.agent_key, index)
+    return state.replace(key=planned.key)
 
 
 def assert_close(one: Any, other: Any) -> None:
@@ -150,10 +164,6 @@ def assert_close(one: Any, other: Any) -> None:
             assert (leaf == alike).all()
         else:
             np.testing.assert_allclose(leaf, alike, rtol=1e-3, atol=1e-4)
-
-
-def test_a_hosted_environments_rollout_is_one_part() -> None:
-    assert not HostedTask.states_are_whole  # its episodes live in another process
 
 
 @pytest.mark.usefixtures("cut_small")
@@ -225,12 +235,17 @@ def test_every_part_keeps_the_structure_of_the_state(values: dict[str, Any]) -> 
 
 @pytest.mark.usefixtures("cut_small")
 def test_an_epoch_is_as_many_parts_as_its_cycles_have() -> None:
-    trainer: Trainer = make_trainer(PointMass(), TINY)
-    hyper = tiny()
-    state, metrics = jax.jit(trainer.epoch)(trainer.init(hyper), hyper)
-    assert int(metrics["env_steps"]) == TINY.cycles_per_epoch * 8 * 25
-    assert int(metrics["updates"]) == TINY.cycles_per_epoch * TINY.updates_per_cycle
-    assert int(state.unfinished.done) == 0
+    trainer, hyper = make_trainer(PointMass(), TINY), tiny()
+    train, epoch = jax.jit(trainer.train), jax.jit(trainer.epoch)
+    start = trainer.init(hyper)
+    expected = train(start, hyper, TINY.cycles_per_epoch * trainer.parts(hyper).total)
+    for begun in (0, 3):  # a cycle that has begun is the epoch's first
+        state, metrics = epoch(train(start, hyper, begun), hyper)
+        assert int(metrics["env_steps"]) == TINY.cycles_per_epoch * 8 * 25
+        assert int(metrics["updates"]) == TINY.cycles_per_epoch * TINY.updates_per_cycle
+        assert int(state.unfinished.done) == 0
+        assert_close(state.agent, expected.agent)
+        assert_close(state.replay, expected.replay)
 
 
 @pytest.mark.usefixtures("cut_small")

@@ -6,11 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.base import State
 
 from cgm_jax.config.fields import declared, stack
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.learning import minibatches
+from cgm_jax.loop.own_checks import checked
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Trainer, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
@@ -258,9 +260,35 @@ def test_without_an_episode_to_learn_from_the_agent_stays_as_it_was() -> None:
     trainer = make_trainer(AlwaysFaultyProbe((1.0,)), TINY)
     first = trainer.init(tiny())
     state = jax.jit(trainer.train)(first, tiny(), 1)
-    assert int(state.replay.inserted) == 0
+    assert int(state.replay.inserted) == int(state.updates) == 0
+    assert float(state.statistics.updates) == 0
+    assert set(state.statistics.losses) == {"critic_loss", "actor_loss", "value"}
+    for total in state.statistics.losses.values():
+        assert float(total) == 0.0
     for one, other in zip(bits(state.agent), bits(first.agent), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+class FaultyStart(AlwaysFaultyProbe):
+    """The probe, with physics that break where an episode begins."""
+
+    def reset(self, rng: jax.Array) -> State:
+        state = super().reset(rng)
+        state.metrics["physics_warnings"] = jnp.ones(())
+        return state
+
+    def step(self, state: State, action: jax.Array) -> State:
+        after = super().step(state, action)
+        after.metrics["physics_warnings"] = jnp.zeros(())
+        return after
+
+
+@pytest.mark.parametrize("wrap", [lambda env: env, lambda env: checked(env, "it")])
+def test_physics_that_broke_in_a_reset_drop_the_episode(wrap: Any) -> None:
+    trainer = make_trainer(wrap(FaultyStart((1.0,))), TINY)
+    state, metrics = jax.jit(trainer.epoch)(trainer.init(tiny()), tiny())
+    assert int(state.replay.inserted) == 0
+    assert float(metrics["physics_warnings"]) == 2 * 8 + 10
 
 
 def test_the_filter_decides_which_episodes_are_relabelled() -> None:
@@ -305,7 +333,7 @@ def test_measured_masks_are_judged_by_episodes_with_their_own_masked_goal() -> N
     np.testing.assert_allclose(before, [1.0, 0.5, 0.5, 0.25])
     state, metrics = jax.jit(trainer.evaluate)(state, measured)
     assert float(metrics["success_rate"]) == 1.0
-    assert int(state.curriculum.masks.count) == 3
+    assert state.curriculum.masks.inserted.tolist() == [3, 3, 3, 3]
     rates = measured.curriculum.rates(state.curriculum)
     np.testing.assert_array_equal(rates, [1.0, 1.0, 0.0, 1.0])
 
@@ -315,7 +343,7 @@ def test_episodes_of_measured_masks_with_broken_physics_are_counted() -> None:
     measured = tiny(masked_evaluation_episodes=3)
     state, metrics = jax.jit(trainer.evaluate)(trainer.init(measured), measured)
     assert float(metrics["physics_warnings"]) == TINY.evaluation_episodes + 2 * 3
-    assert int(state.curriculum.masks.count) == 0
+    assert state.curriculum.masks.inserted.tolist() == [0, 0]
 
 
 def test_a_cycle_updates_the_actor_once_in_so_many_updates_of_the_critic() -> None:
