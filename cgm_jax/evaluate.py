@@ -152,7 +152,7 @@ def _check(options: EvaluateOptions) -> None:
         if getattr(options, name) is not None and options.source is None:
             raise SettingError(f"{name}: goes with a run directory")
     if options.random and len(options.env or ()) != 1:
-        raise SettingError("env: --random needs one")
+        raise SettingError("env: --random needs one task, --env TASK")
     if options.pretrained is not None:
         pretrained_policy(options.pretrained)
         if options.env:

@@ -19,7 +19,7 @@ from cgm_jax.config.fields import Field, SettingError, check, check_value, decla
 from cgm_jax.config.named import absolute
 from cgm_jax.config.presets import Grid, preset_grid
 from cgm_jax.config.run_names import run_name
-from cgm_jax.config.settings import LOOP_FIELDS, Hyperparameters, Settings
+from cgm_jax.config.settings import LOOP_FIELDS, RESERVED, Hyperparameters, Settings
 
 MAX_RUNS = 100_000
 
@@ -130,10 +130,12 @@ def hyperparameters(**values: Any) -> Hyperparameters:
     What is not given has its default, or what the curriculum wants.
 
     Raises:
-        SettingError: no component has such a setting, or a value is out of its range.
+        SettingError: no component has such a setting, a value is out of its range, or a component
+            has a setting whose name is taken.
     """
     made = {}
-    classes = {kind: component(kind, values.pop(kind, name)) for kind, name in DEFAULTS.items()}
+    names = {kind: values.pop(kind, name) for kind, name in DEFAULTS.items()}
+    classes = _classes(names)
     values = {**_wanted(classes), **values}
     for kind, found in classes.items():
         own = {item.name for item in declared(found)}
@@ -243,7 +245,7 @@ def _combinations(grid: Grid) -> list[Values]:
     runs: dict[Any, Values] = {}
     for chosen in itertools.product(*(_names(grid, kind) for kind in ROOMS)):
         components = dict(zip(ROOMS, map(absolute, chosen), strict=True))
-        classes = {kind: component(kind, name) for kind, name in components.items()}
+        classes = _classes(components)
         fields = dict(LOOP_FIELDS)
         for found in classes.values():
             fields |= {item.name: item for item in declared(found)}
@@ -259,6 +261,21 @@ def _combinations(grid: Grid) -> list[Values]:
     if len(runs) > MAX_RUNS:
         raise SettingError(f"curriculum: more than {MAX_RUNS:,} runs in one sweep")
     return list(runs.values())
+
+
+def _classes(names: Mapping[str, str]) -> dict[str, Any]:
+    """The components of a run, by kind, from their names.
+
+    Raises:
+        SettingError: there is none of a name, or it has a setting whose own name is taken.
+    """
+    classes = {kind: component(kind, name) for kind, name in names.items()}
+    for kind, found in classes.items():
+        if taken := sorted(RESERVED & {item.name for item in declared(found)}):
+            raise SettingError(
+                f"{kind}: {names[kind]} calls a setting {taken[0]}, a name that is taken"
+            )
+    return classes
 
 
 def _what_counts(values: Values) -> Hashable:

@@ -9,7 +9,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from cgm_jax.config.components import DEFAULTS, component
+from cgm_jax.config.components import DEFAULTS, NAMES, component
 from cgm_jax.config.fields import check, nested, settings, static, traced
 
 
@@ -88,3 +88,12 @@ LOOP_FIELDS = {
     if "help" in item.metadata
 }
 """The loop's own settings by name."""
+
+RESERVED = {
+    *("name", "run", "seed", "cgm", "epoch", "wall_s", "env_steps", "updates", "success_rate"),
+    *("subgoal_success", "moved_share", "mask_rate_training", "mask_share", "physics_warnings"),
+    *("evaluated_episodes", "failed_epoch", "failure", "swept", "reported"),
+    *(*NAMES, *LOOP_FIELDS),
+}
+"""Names in config.json and metrics.jsonl that are not for a component's own settings, for what a
+curriculum reports, nor for what an agent logs."""

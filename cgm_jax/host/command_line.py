@@ -257,7 +257,8 @@ def parse(
             )
     except SystemExit as end:
         if end.code == ExitCode.BAD_INPUT:
-            refuse(_first_paragraph(complaint.getvalue()))
+            box = complaint.getvalue()
+            refuse("; perhaps ".join([_first_paragraph(box), *_meant(box)]))
         raise
 
 
@@ -336,6 +337,14 @@ def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
     shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
     print(f"error: {shown}", file=sys.stderr)
     sys.exit(code)
+
+
+def _meant(box: str) -> list[str]:
+    """What an option that does not exist may be meant to be, in one text, if tyro has an idea."""
+    if "Unrecognized options" not in box:
+        return []
+    found = re.findall(r"^(?:│ )? +(--[a-z-]+)\b", box, re.MULTILINE)
+    return [" or ".join(found)] if found else []
 
 
 def _first_paragraph(box: str) -> str:

@@ -37,6 +37,7 @@ from cgm_jax.storage.checkpoints import holds_config
 from cgm_jax.storage.config_file import read_origin
 from cgm_jax.storage.files import ReadError, refusal
 from cgm_jax.storage.layout import CONFIG
+from cgm_jax.storage.looking import check_place
 from cgm_jax.storage.run_directory import RunDirectory, claiming
 
 if TYPE_CHECKING:  # jobs imports JAX
@@ -87,6 +88,8 @@ def _train_as_asked(
         ReadError: a file cannot be read just now.
     """
     out, moved = options.resume or options.out, {}
+    if options.out is not None:
+        check_place("out", options.out)
     if out is not None and not options.dry_run:
         try:
             bring_config_back(out)

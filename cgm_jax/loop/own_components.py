@@ -12,21 +12,12 @@ from cgm_jax.config.components import ROOMS, builtin_fields, check_names
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Run
 from cgm_jax.config.named import is_own
-from cgm_jax.config.settings import LOOP_FIELDS
+from cgm_jax.config.settings import RESERVED
 from cgm_jax.config.user_code import user_code
 from cgm_jax.loop.cycle import cycle
 from cgm_jax.loop.own_returns import check_agent, check_curriculum, check_relabelling
 from cgm_jax.loop.setup import init_state
 from cgm_jax.loop.training import Trainer
-
-RESERVED = {
-    *("run", "env", "seed", "cgm", "epoch", "wall_s", "env_steps", "updates", "success_rate"),
-    *("subgoal_success", "moved_share", "mask_rate_training", "mask_share", "physics_warnings"),
-    "evaluated_episodes",
-    *("failed_epoch", "failure", "swept", "reported", *ROOMS, *LOOP_FIELDS),
-}
-"""Names in metrics.jsonl that are not for a curriculum's report, nor for what an agent logs."""
-
 
 CHECKS = {
     "relabelling": check_relabelling,

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cgm_jax.agents.networks import apply_actor
 from cgm_jax.config.fields import SettingError
@@ -53,9 +54,17 @@ def check_curriculum(what: str, setup: Setup, state: TrainingState, hyper: Hyper
     if masks is not None:
         number = getattr(masks, "shape", ())[:1]
         _check(f"{what}: what examination returns", masks, (*number, known.goal))
-    reported = jax.eval_shape(lambda one, own: one.report(own), hyper.curriculum, state.curriculum)
-    if not isinstance(reported, Mapping):
-        raise SettingError(f"{what}: what report returns is {_shown(reported)}, not a dict")
+
+    def report(curriculum: Any, own: Any) -> Any:
+        reported = curriculum.report(own)
+        if not isinstance(reported, Mapping):
+            raise SettingError(f"{what}: what report returns is {_shown(reported)}, not a dict")
+        for name, value in reported.items():
+            if not isinstance(value, jax.Array | np.ndarray | np.generic | float | int):
+                raise SettingError(f"{what}: {name} of report is {_shown(value)}, not an array")
+        return dict(reported)
+
+    jax.eval_shape(report, hyper.curriculum, state.curriculum)
 
 
 def check_agent(what: str, setup: Setup, state: TrainingState, hyper: Hyperparameters) -> None:
@@ -152,6 +161,6 @@ def _check(what: str, returned: Any, shape: Sequence[int]) -> None:
 
 
 def _shown(returned: Any) -> str:
-    if isinstance(returned, jax.ShapeDtypeStruct):
+    if isinstance(returned, jax.ShapeDtypeStruct | jax.Array):
         return described(returned)
     return "None" if returned is None else f"of type {type(returned).__name__}"

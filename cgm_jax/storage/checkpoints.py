@@ -17,9 +17,10 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.files import ABSENT, reading, replacing
 from cgm_jax.storage.untrusted import MAX_CONFIG_BYTES, UNREADABLE, read_json
 
-FORMAT = 3
+FORMAT = 4
 """Of checkpoints, in the manifest. Format 1 had no such entry; curriculum `uniform` had no state
-before format 3. Arrays of older formats are read if they fit.
+before format 3; before format 4 masks that `cgm` measures were counted in rounds of all. Arrays of
+older formats are read if they fit.
 """
 
 NAME = re.compile(r"group[0-9]{1,9}_epoch[0-9]{1,10}_cycle[0-9]{1,10}(_part[0-9]{1,10})?\.npz")

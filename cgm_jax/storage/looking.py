@@ -32,6 +32,19 @@ def is_directory(setting: str, path: Path) -> bool:
     return found is not None and stat.S_ISDIR(found.st_mode)
 
 
+def check_place(setting: str, path: Path) -> None:
+    """Check that a directory lies at a path, or that nothing there is in the way of one.
+
+    Raises:
+        SettingError: something else lies there, or where it would have to lie; see `look_at`.
+    """
+    for place in (path, *path.parents):
+        if (found := look_at(setting, place)) is not None:
+            if not stat.S_ISDIR(found.st_mode):
+                raise SettingError(f"{setting}: {place} is no directory")
+            return
+
+
 def is_ordinary_file(setting: str, path: Path) -> bool:
     """Whether an ordinary file does; see `look_at`."""
     found = look_at(setting, path)

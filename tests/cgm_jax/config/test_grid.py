@@ -81,6 +81,32 @@ def test_own_code_whose_runs_would_have_the_same_names_is_refused(
         build_groups("smoke", {kind: both})
 
 
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("curriculum", "seed"),
+        ("curriculum", "action_noise"),
+        ("curriculum", "epochs"),
+        ("curriculum", "agent"),
+        ("curriculum", "name"),
+        ("curriculum", "success_rate"),
+        ("agent", "environments"),
+    ],
+)
+def test_a_component_cannot_take_a_name_of_training_itself(
+    kind: str, name: str, tmp_path: Path
+) -> None:
+    source = EXAMPLES / f"my_{kind}.py"
+    setting, made = {"curriculum": ("gain", "Growing"), "agent": ("step_size", "MyAgent")}[kind]
+    code = source.read_text()
+    assert setting in code
+    (tmp_path / "mine.py").write_text(code.replace(setting, name))
+    chosen = f"{tmp_path / 'mine.py'}:{made}"
+    said = f"{kind}: {chosen} calls a setting {name}, a name that is taken"
+    with pytest.raises(SettingError, match=f"^{re.escape(said)}$"):
+        build_groups("smoke", {kind: [chosen]})
+
+
 def other_values(item: Any) -> list[Any]:
     """Two values of a setting, neither of which any other test depends on."""
     if item.name in OTHERS:

@@ -227,6 +227,36 @@ def test_an_option_that_is_given_twice_is_told(tmp_path: Path) -> None:
     assert "kappa4" not in result.stdout
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+@pytest.mark.parametrize(
+    ("misspelt", "meant"),
+    [
+        (["--epcohs", "2"], "--epcohs, 2; perhaps --epochs"),
+        (["--epoch", "2"], "--epoch, 2; perhaps --cycles-per-epoch or --epochs"),
+        (["--xyzzy"], "--xyzzy"),
+    ],
+)
+def test_a_misspelt_option_is_told_what_it_may_be_meant_to_be(
+    misspelt: list[str], meant: str, encoding: str
+) -> None:
+    words = [sys.executable, "-m", "cgm_jax.train", *misspelt]
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    result = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
+    assert (result.returncode, result.stderr) == (2, f"error: Unrecognized options: {meant}\n")
+
+
+@pytest.mark.parametrize("more", [[], ["--dry-run"]])
+def test_a_directory_that_cannot_be_made_is_refused_at_once(
+    more: list[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("mine")
+    for out in (file, file / "below" / "it"):
+        result = run("train", "--preset", "smoke", "--out", str(out), *more)
+        assert (result.returncode, result.stderr) == (2, f"error: out: {file} is no directory\n")
+    assert file.read_text() == "mine"
+
+
 def test_train_refuses_a_grid() -> None:
     result = run("train", "--c-g", "0.1", "0.2")
     assert result.returncode == 2

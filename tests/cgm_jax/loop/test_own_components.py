@@ -172,6 +172,8 @@ def misshapen(**values: Any) -> Any:
         ({"masks": jnp.ones((3, 1))}, "what examination returns is float32[3,1], not float32[3,2]"),
         ({"masks": jnp.ones(())}, "what examination returns is float32[], not float32[2]"),
         ({"told": jnp.ones(3)}, "what report returns is float32[3], not a dict"),
+        ({"told": {"q": "high"}}, "q of report is of type str, not an array"),
+        ({"told": {"q": None}}, "q of report is None, not an array"),
     ],
 )
 def test_what_a_curriculum_returns_has_the_shapes_of_its_protocol(
