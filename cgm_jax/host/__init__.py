@@ -4,7 +4,8 @@
     setting_options.py  an option per setting; help_texts.py what --help says
     devices.py          --devices: how many share the runs
     asked.py            what is to be trained: options, over a settings_file.py, over a preset
-    session.py          from groups of runs to an exit code; dry_run.py what it would be
+    to_train.py         the same, as jobs, beside what the directory holds
+    session.py          from what is asked for to an exit code; dry_run.py what it would be
     conclusion.py       what a finished sweep has come to
     differences.py      why what is asked for is not what a directory holds
     extension.py        more epochs; warm_start.py what another run has learned

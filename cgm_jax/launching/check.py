@@ -17,7 +17,7 @@ from cgm_jax.host.asked import asked_for
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.devices import parse_devices
 from cgm_jax.host.exit_codes import ExitCode
-from cgm_jax.host.session import plan
+from cgm_jax.host.to_train import plan
 from cgm_jax.results.tracking import find_tracker
 from cgm_jax.sweep import SweepOptions
 

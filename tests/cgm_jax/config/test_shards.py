@@ -14,7 +14,7 @@ from cgm_jax.config.grid import Group, build_groups
 from cgm_jax.config.shards import MAX_PARTS, cut, digest, former_digest, parse_shard
 from cgm_jax.host.asked import Asked, asked_for
 from cgm_jax.host.command_line import parse
-from cgm_jax.host.session import _record_shard, _recorded_groups
+from cgm_jax.host.to_train import _record_shard, _recorded_groups
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import POINT_MASS
 

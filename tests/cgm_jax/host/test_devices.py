@@ -69,9 +69,9 @@ def test_runs_on_one_core_share_one_device_though_jax_has_more(
     # Not among tests that have started JAX with devices of their own.
     code = """
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host import devices, session
+from cgm_jax.host import devices, to_train
 devices.available_cores = lambda: 1
-jobs, (note, *_) = session.plan(build_groups("smoke", {"env": ["reach"]}), None)
+jobs, (note, *_) = to_train.plan(build_groups("smoke", {"env": ["reach"]}), None)
 import jax
 print(len(jax.devices()), note)
 """

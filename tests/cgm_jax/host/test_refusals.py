@@ -12,7 +12,7 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host import session
+from cgm_jax.host import to_train
 from cgm_jax.storage.lock import InUseError, locked
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.host.in_process import train
@@ -143,7 +143,7 @@ def test_a_damaged_config_is_refused(text: str, complaint: str, tmp_path: Path) 
 def test_metrics_of_another_sweep_are_refused_before_anything_is_made_or_built(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session, "plan", lambda *_, **__: pytest.fail("it was built"))
+    monkeypatch.setattr(to_train, "plan", lambda *_, **__: pytest.fail("it was built"))
     (tmp_path / "metrics.jsonl").write_text("theirs")
     with pytest.raises(SettingError, match=f"^out: {tmp_path} already holds a sweep; name another"):
         train(tmp_path)

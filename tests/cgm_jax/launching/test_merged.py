@@ -10,7 +10,7 @@ from cgm_jax import launch as program
 from cgm_jax import sweep, train
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host import session
+from cgm_jax.host import to_train
 from cgm_jax.launching.directory import Launch, Resources
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.results.figures import made
@@ -30,7 +30,7 @@ def launched(folder: Path) -> Launch:
 
 @pytest.fixture(autouse=True)
 def no_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "plan", lambda *_, **__: pytest.fail("it was built"))
+    monkeypatch.setattr(to_train, "plan", lambda *_, **__: pytest.fail("it was built"))
     monkeypatch.setattr(program, "supervise", lambda *_: pytest.fail("parts are trained"))
 
 
