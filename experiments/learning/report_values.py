@@ -215,7 +215,7 @@ def points_sooner(question: str, env: str) -> str:
         all(env_steps_to_hold(runs[i], 0.5) < env_steps_to_hold(plain[i], 0.5) for i in runs)
         for runs in points
     )
-    return f"{sooner_points} of {counted(len(points), 'point')}"
+    return f"{in_words(sooner_points)} of {counted(len(points), 'point')}"
 
 
 def budget(sweep: str) -> str:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cgm_jax.agents.gradients import return_limits
 from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.normaliser import network_input
@@ -104,3 +105,12 @@ def test_soft_values_of_an_unreachable_goal_hold_the_entropy_of_actions_at_rando
     # Uniform actions in [-1, 1] have mean 0 and standard deviation 3^(-1/2).
     assert float(actions.mean()) == pytest.approx(0.0, abs=0.1)
     assert float(actions.std()) == pytest.approx(3**-0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("rewards", "limits"), [((0.5, 2.0), (0.0, 20.0)), ((-3.0, -1.0), (-30.0, 0.0))]
+)
+def test_returns_of_episodes_that_end_reach_from_or_to_zero(
+    rewards: tuple[float, float], limits: tuple[float, float]
+) -> None:
+    assert return_limits(0.9, rewards) == pytest.approx(limits)

@@ -8,7 +8,12 @@ import pytest
 
 from cgm_jax.config.fields import stack
 from cgm_jax.curricula.cgm import CGM, CGMState, joint_success_rates
-from cgm_jax.curricula.parts.history import init_history, record_successes, subgoal_rates
+from cgm_jax.curricula.parts.history import (
+    SuccessHistory,
+    init_history,
+    record_successes,
+    subgoal_rates,
+)
 from cgm_jax.curricula.parts.masks import goal_masks, mask_success_rates
 from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.loop.training import make_trainer
@@ -144,3 +149,12 @@ def test_training_practises_masks_near_the_success_rate_aimed_at(
     assert shares.sum() == pytest.approx(1.0)
     np.testing.assert_array_equal(shares > 0, expected > 0)
     np.testing.assert_allclose(shares, expected, atol=0.09)  # four standard errors of 512 episodes
+
+
+def test_beyond_a_table_the_report_has_full_goals_at_their_own_success() -> None:
+    successes = jnp.tile((jnp.arange(10) < 9)[:, None], (1, 12)).astype(jnp.float32)
+    state = CGMState(SuccessHistory(successes, jnp.asarray(10)))
+    report = CGM(c_g=0.9, kappa=32.0, full_share=1.0).report(state)
+    # All draws are the full goal, which is estimated at 0.9^12 = 0.28, nearest to 0.3.
+    np.testing.assert_allclose(report["level_probability"], np.arange(21) == 6)
+    assert float(report["level_kept_dimensions"][6]) == 12.0

@@ -94,3 +94,17 @@ def test_training_practises_goals_of_intermediate_success() -> None:
     assert medium_share(np.asarray(trained.replay.episodes.achieved_goal).ravel()) < 0.3
     assert medium_share(full) < 0.45
     assert medium_share(ours) > 0.7
+
+
+def test_where_every_practised_goal_is_too_hard_all_goals_are_new() -> None:
+    curriculum = GOID(old_goal_share=1.0)
+    goals = drawn_goals(GOALS).replace(memo=jnp.asarray(0.0))
+    state = curriculum.after_training(curriculum.init(SIZES), outcomes(goals, np.zeros(30)))
+    places = np.array([[[5.0, 0.0], [6.0, 0.0]]])
+    sampled = curriculum.sample(
+        state,
+        jax.random.key(0),
+        drawn_goals(np.full((64, 2), 7.0)),
+        view(places, 1, np.zeros((64, 2))),
+    )
+    assert set(np.asarray(sampled.desired[:, 0])) == {5.0, 6.0}

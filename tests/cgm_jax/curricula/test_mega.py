@@ -184,3 +184,43 @@ def test_training_practises_the_frontier() -> None:
     assert np.median(goals) > np.quantile(achieved, 0.95)
     assert (goals <= achieved.max()).mean() > 0.97  # and yet they were achieved before
     assert (np.abs(np.asarray(full.desired_goal)) <= achieved.max()).mean() < 0.7
+
+
+def test_a_dimension_that_never_varied_does_not_hide_which_goals_are_rare() -> None:
+    achieved = np.random.default_rng(0).normal(size=(50, 5, 2))
+    achieved[..., 1] = 0.5  # as the height of a block that nobody has lifted
+    curriculum = MEGA(omega_bonus=1e6, density_samples=100)  # alpha is 0
+    goals = curriculum.sample(
+        curriculum.init(SIZES),
+        jax.random.key(0),
+        drawn_goals(np.full((64, 2), 0.5)),
+        view(
+            achieved,
+            50,
+            np.zeros((64, 2)),
+            value=lambda _, goal: jnp.full((1, *goal.shape[:-1]), -1.0),
+            draw=lambda key, count: jax.random.uniform(key, (count, 2)),
+        ),
+    )
+    assert np.isfinite(goals.memo.alpha)
+    assert np.median(np.abs(goals.desired[:, 0])) > 1.8  # of 100, the outermost
+
+
+def test_what_can_be_reached_is_told_by_the_mean_over_critics() -> None:
+    # Replay has been at x = 0, 1, 2, ever more rarely; two critics say -1, and -1, -3, -7.
+    achieved = np.stack([np.repeat([0.0, 1.0, 2.0], [20, 8, 4]), np.zeros(32)], axis=1)[None]
+
+    def value(_: jax.Array, goal: jax.Array) -> jax.Array:
+        x = goal[..., 0]
+        return jnp.stack([-jnp.ones_like(x), 1.0 - jnp.exp2(x + 1.0)])
+
+    curriculum = MEGA(omega_bonus=-1e3, density_samples=50)  # alpha is 1; the cutoff is -3
+    seen = view(achieved, 1, np.zeros((32, 2)), value, lambda _, count: jnp.zeros((count, 2)))
+    drawn = drawn_goals(np.tile([2.0, 0.0], (32, 1)))  # -4 in the mean
+    goals = curriculum.sample(curriculum.init(SIZES), jax.random.key(0), drawn, seen)
+    np.testing.assert_array_equal(goals.desired[:, 0], 1.0)
+
+
+def test_the_floor_reckons_with_a_discount_of_at_most_99_percent() -> None:
+    floor = MEGA(discount=0.999).init(SIZES).floor
+    np.testing.assert_allclose(floor, -(1 - 0.99**40) / 0.01, rtol=1e-4)

@@ -116,3 +116,37 @@ def test_training_begins_at_medium_distance() -> None:
     visited = trained.curriculum.visited.rows.obs["observation"][:, 0]
     assert begun > 0.7
     assert medium_share(8.0 - np.asarray(visited)) < begun - 0.15
+
+
+PLACES = np.stack([np.repeat([0.0, 1.0, 2.0], 10), np.zeros(30)], axis=1)
+
+
+def test_starts_are_none_of_the_slots_that_hold_nothing_yet() -> None:
+    # Empty slots look like x = 0, where five of ten succeed; states there have the goal (9, 0).
+    curriculum = Starts(reset_share=0.0)
+    success = np.concatenate([np.arange(10) < n for n in (5, 0, 0)])
+    begun = drawn_goals(PLACES).replace(memo=jnp.asarray(0.0))
+    state = curriculum.after_training(
+        curriculum.init(STARTABLE), outcomes(begun, success, visited=states(PLACES))
+    )
+    goals = curriculum.sample(state, jax.random.key(0), drawn_goals(np.zeros((300, 2))), view(300))
+    np.testing.assert_array_equal(goals.desired, np.tile([9.0, 0.0], (300, 1)))
+    np.testing.assert_allclose(goals.memo, 1 / 3, rtol=1e-6)
+
+
+def test_starts_are_judged_by_the_mean_of_critics_on_the_way_to_their_goals() -> None:
+    # Begun and visited were x = 0, 1, 2 with the goal 9: all critics but the first know the way.
+    curriculum = Starts()
+    success = np.concatenate([np.arange(10) < n for n in (0, 5, 10)])
+    begun = drawn_goals(np.full((30, 2), 9.0)).replace(memo=jnp.asarray(0.0))
+    happened = outcomes(begun, success, visited=states(PLACES)).replace(
+        observation=jnp.asarray(PLACES, jnp.float32)
+    )
+    state = curriculum.after_training(curriculum.init(STARTABLE), happened)
+
+    def value(observation: jax.Array, goal: jax.Array) -> jax.Array:
+        way = goal[..., 0] - observation[..., 0]
+        return jnp.stack([0.0 * way, -way])
+
+    rates = curriculum.rates(state, view(1)._replace(value=value))
+    np.testing.assert_allclose(rates[:30], np.repeat([0.0, 0.5, 1.0], 10))

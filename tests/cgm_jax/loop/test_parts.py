@@ -16,7 +16,7 @@ from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
-from cgm_jax.loop import cutting
+from cgm_jax.loop import cutting, learning
 from cgm_jax.loop.cutting import WHOLE, Parts, is_cut, updates_at_once
 from cgm_jax.loop.cycle import carry_out, plan, store
 from cgm_jax.loop.learning import learn_part
@@ -261,3 +261,19 @@ def test_a_run_that_diverges_in_one_part_learns_in_none_that_follows() -> None:
     later = train(failed, hyper, 2 * parts.total)
     assert_same(later.agent, before.agent)
     assert int(later.updates) == 0
+
+
+def test_each_part_of_a_cycles_updates_draws_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys: list[tuple[jax.Array, ...]] = []
+
+    def learn(setup: Any, state: Any, hyper: Any, *drawn: jax.Array) -> Any:
+        keys.append(drawn)
+        return state
+
+    monkeypatch.setattr(learning, "learn", learn)
+    trainer, hyper = make_trainer(PointMass(), TINY), tiny()
+    state = trainer.init(hyper)
+    for index in range(3):
+        learn_part(trainer.setup, state, hyper, jax.random.key(0), jax.random.key(1), index)
+    for of_parts in zip(*keys, strict=True):
+        assert len({jax.random.key_data(key).tobytes() for key in of_parts}) == 3

@@ -205,12 +205,14 @@ def test_each_part_keeps_what_it_was_trained_with(
 ) -> None:
     config = json.loads((parts[1] / "config.json").read_text())
     config["versions"]["numpy"] = "1.0"
+    config["started"] = "2020-02-02T20:20:20"
     (parts[1] / "config.json").write_text(json.dumps(config))
     assert run(*parts, "--out", tmp_path / "out") == 0
     assert "bits may differ: parts differ in versions" in capsys.readouterr().err
     merged = json.loads((tmp_path / "out" / "config.json").read_text())
     assert [part["versions"]["numpy"] == "1.0" for part in merged["parts"]] == [False, True, False]
     assert "shard" not in merged
+    assert merged["started"] == "2020-02-02T20:20:20"  # the earliest
 
 
 def parts_with_own_code(tmp_path: Path, texts: tuple[str, str]) -> tuple[list[Path], list[str]]:

@@ -10,6 +10,7 @@ import pytest
 from cgm_jax.storage import checkpoints
 from cgm_jax.storage.checkpoints import (
     damage,
+    epochs_begun,
     finished_checkpoints,
     format_of,
     holds_config,
@@ -110,3 +111,20 @@ def test_files_beyond_all_measure_are_damage_and_are_not_read(
         file.truncate(checkpoints.MAX_MANIFEST_BYTES + 1)
     assert damage(checkpoint) == "its manifest cannot be read"
     assert holds_config(checkpoint.parent) is False
+
+
+def test_an_epoch_of_whose_first_cycle_parts_are_done_has_begun(tmp_path: Path) -> None:
+    for name in ("group0_epoch000002_cycle000000_part000003", "group1_epoch000001_cycle000004"):
+        (tmp_path / f"{name}.npz").touch()
+        (tmp_path / f"{name}.json").touch()
+    assert epochs_begun(tmp_path) == 3
+
+
+def test_a_config_that_is_damaged_beside_its_checkpoint_is_not_restored(tmp_path: Path) -> None:
+    path = tmp_path / "group0_epoch000001_cycle000000.npz"
+    path.touch()
+    write_manifest(path, "0" * 64, 0, b'{"groups": []}')
+    assert holds_config(tmp_path)
+    entry = json.loads(manifest_path(path).read_text())
+    manifest_path(path).write_text(json.dumps(entry | {"config": '{"groups": [1]}'}))
+    assert not holds_config(tmp_path)

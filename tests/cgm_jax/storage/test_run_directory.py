@@ -429,3 +429,10 @@ def test_what_another_process_has_begun_meanwhile_is_refused(
         RunDirectory.claimed(tmp_path, fresh=True),
     ):
         pass
+
+
+def test_metrics_that_were_set_aside_before_stay(tmp_path: Path) -> None:
+    for number, text in enumerate(("a\n", "b\n"), start=1):
+        (tmp_path / "metrics.jsonl").write_text(text)
+        assert RunDirectory(tmp_path).set_metrics_aside() == tmp_path / f"metrics.jsonl.{number}"
+    assert (tmp_path / "metrics.jsonl.1").read_text() == "a\n"

@@ -28,6 +28,21 @@ def test_estimates_know_the_full_goal_and_measurements_the_masked_one() -> None:
     np.testing.assert_allclose(rates["with_noise"], [1, 0.5, 0.5, 0.25], atol=0.2)
 
 
+def test_the_joint_rate_is_that_of_all_kept_sub_goals_at_once() -> None:
+    """A policy that always does 1, where each of two goals is 1 or -1: half of each, a quarter."""
+    env = OneStepProbe((1.0, -1.0), goal_size=2, action_size=2)
+    small = Settings(env="probe", environments=1, replay_transitions=10)
+    state = make_trainer(env, small).init(Hyperparameters(agent=DDPG(hidden_layers=(16, 16))))
+    actor = jax.tree.map(jnp.zeros_like, state.agent.actor)
+    actor["params"]["layer_2"]["bias"] += 1.0
+    arrays = policy_arrays(*jax.tree.map(np.asarray, (actor, state.normaliser)))
+    rates = success_per_mask(
+        env, jax.tree.map(jnp.asarray, arrays), Hyperparameters(), jax.random.key(0)
+    )
+    for estimate in ("product", "joint", "without_noise"):
+        np.testing.assert_allclose(rates[estimate], [1, 0.5, 0.5, 0.25], atol=0.2)
+
+
 def test_errors_are_mean_distance_and_mean_difference() -> None:
     rows = [
         {"kept": "x", "product": 0.5, "joint": 0.5, "without_noise": 0.4, "with_noise": 0.5},

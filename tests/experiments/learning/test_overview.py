@@ -67,3 +67,10 @@ def test_tasks_have_columns_and_only_what_differs_is_named() -> None:
     alone = overview([run([0.2])])
     assert [str(line.get_label()) for line in medians(alone.axes[0])] == ["CGM (10 %, 32)"]
     plt.close(alone)
+
+
+def test_a_run_that_was_to_be_shorter_does_not_count_on() -> None:
+    figure = overview([run([0.1] * 3, 0), run([0.3] * 5, 1)])
+    (median,) = medians(figure.axes[0])
+    np.testing.assert_allclose(values(median), [[1000, 0.2], [2000, 0.2], [3000, 0.2]])
+    plt.close(figure)

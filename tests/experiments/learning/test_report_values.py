@@ -171,3 +171,13 @@ def test_a_sweep_that_is_not_on_record_and_one_that_is_not_planned(
     assert ONE_SWEEP[name]("nothing") == NOT_YET
     with pytest.raises(ValueError, match="no sweep 'noone' is planned"):
         ONE_SWEEP[name]("noone")
+
+
+def test_a_point_at_which_a_seed_ties_is_not_sooner(monkeypatch: pytest.MonkeyPatch) -> None:
+    curves = {0.1: [held(5), held(6)], 0.4: [held(5), held(7)], 0.8: [held(5), NEVER]}
+    runs = [
+        run(x, seed, "one", c_g=c_g) for c_g, two in curves.items() for seed, x in enumerate(two)
+    ]
+    runs += [run(held(7), seed, "other", curriculum="full") for seed in (0, 1)]
+    monkeypatch.setattr(report_values, "runs_of", lambda _: runs)
+    assert report_values.points_sooner("grid", "push") == "one of three points"

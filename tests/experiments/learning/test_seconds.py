@@ -4,6 +4,9 @@ from pathlib import Path
 import pytest
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.measuring import figures, rollouts
+from cgm_jax.measuring.updates import PRODUCT_OPERATIONS, update_operations
+from cgm_jax.measuring.workload import cpu_group
 from experiments.learning import seconds
 from experiments.learning.seconds import timed
 from experiments.table import read_table
@@ -26,6 +29,15 @@ def test_a_run_is_timed_beside_what_raw_rates_would_need() -> None:
 def test_a_run_that_never_holds_the_success_has_no_time() -> None:
     row = timed("reach", SMOKE, 1.0, 100.0, 4.0)
     assert (row["env_steps"], row["held_s"], row["ratio"]) == (800, math.inf, math.inf)
+
+
+def test_the_raw_rate_counts_the_steps_of_whole_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rollouts, "rollout_seconds", lambda *_: (0.0, 2.0))
+    monkeypatch.setattr(figures, "medians", lambda calls, repeats: [0.5])
+    steps, updates = seconds.raw_rates("push")
+    assert steps == 50 * 64 / 2
+    agent = cpu_group("push").runs[0].hyper.agent
+    assert updates == PRODUCT_OPERATIONS / 0.5 / update_operations(agent, 512)
 
 
 def test_runs_that_are_timed_again_replace_their_rows_and_no_others(

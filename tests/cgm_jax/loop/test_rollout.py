@@ -1,0 +1,105 @@
+"""Episodes that do not count, and what of them must not."""
+
+# Brax types the parts of its State as unknown.
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax.envs.base import State
+
+from cgm_jax.loop.cycle import store
+from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
+from cgm_jax.loop.training import make_trainer
+from tests.cgm_jax.probe import TINY, OneStepProbe, tiny
+
+
+@dataclasses.dataclass(frozen=True)
+class LuckyWhereBroken(OneStepProbe):
+    """Half of the episodes break, and only those move to the goal; all numbers are finite."""
+
+    goals: tuple[float, ...] = (1.0,)
+
+    def reset(self, rng: jax.Array) -> State:
+        state = super().reset(rng).replace(pipeline_state=jax.random.bernoulli(rng))
+        state.metrics["physics_warnings"] = jnp.zeros(())
+        return state
+
+    def step(self, state: State, action: jax.Array) -> State:
+        luck: Any = state.pipeline_state
+        after = self._state(jnp.where(luck, 1.0, 0.0)[None], state.obs["desired_goal"])
+        after.metrics["physics_warnings"] = jnp.where(luck, 1.0, 0.0)
+        return after.replace(pipeline_state=luck)
+
+
+def test_what_broken_episodes_achieved_counts_nowhere() -> None:
+    trainer, hyper = make_trainer(LuckyWhereBroken(), TINY), tiny(curriculum="full")
+    state, metrics = jax.jit(trainer.epoch)(trainer.init(hyper), hyper)
+    kept = int(state.replay.inserted)
+    assert 0 < kept < 16
+    assert 0 < int(metrics["evaluated_episodes"]) < 10
+    assert float(metrics["success_rate"]) == 0.0
+    assert float(metrics["subgoal_success"][0]) == 0.0
+    assert float(metrics["mask_rate_training"][1]) == 0.0
+    assert float(metrics["moved_share"]) == 0.0
+    assert int(state.normaliser.goal.count.lo) == 2 * kept
+
+
+@dataclasses.dataclass(frozen=True)
+class BrokenEarly(OneStepProbe):
+    """Of three steps the first breaks the physics, and says so then only."""
+
+    goals: tuple[float, ...] = (1.0,)
+    episode_length: int = 3
+
+    def reset(self, rng: jax.Array) -> State:
+        state = super().reset(rng).replace(pipeline_state=jnp.zeros(()))
+        state.metrics["physics_warnings"] = jnp.zeros(())
+        return state
+
+    def step(self, state: State, action: jax.Array) -> State:
+        steps: Any = state.pipeline_state
+        after = super().step(state, action).replace(pipeline_state=steps + 1.0)
+        after.metrics["physics_warnings"] = jnp.where(steps == 0.0, 1.0, 0.0)
+        return after
+
+
+def forward(observation: jax.Array, goal: jax.Array, noise: Any) -> jax.Array:
+    """A policy of ones."""
+    del noise
+    return jnp.ones((len(observation), goal.shape[-1]))
+
+
+def test_a_warning_at_any_step_drops_the_episode() -> None:
+    env = BrokenEarly()
+    first = reset(env, jax.random.key(0), 2)
+    rollout = roll_out(env, forward, first, drawn_goals(env, first))
+    assert rollout.broken.tolist() == [True, True]
+    assert rollout.outcomes.valid.tolist() == [False, False]
+
+
+def test_a_goal_that_is_not_finite_where_it_is_masked_drops_no_episode() -> None:
+    env = OneStepProbe((1.0,), goal_size=2, action_size=2)
+    first = reset(env, jax.random.key(0), 2)
+    goals = drawn_goals(env, first)
+    goals = goals.replace(
+        desired=goals.desired.at[:, 0].set(jnp.nan), mask=jnp.array([[0.0, 1.0], [1.0, 1.0]])
+    )
+    rollout = roll_out(env, forward, first, goals)
+    assert rollout.outcomes.valid.tolist() == [True, False]
+
+
+def test_the_normalisers_settings_are_those_of_the_run() -> None:
+    settings = dataclasses.replace(TINY, normaliser_limit=2.0, normaliser_floor=0.5)
+    env = OneStepProbe((0.0,))
+    trainer, hyper = make_trainer(env, settings), tiny(curriculum="full")
+    state = trainer.init(hyper)
+    assert float(state.normaliser.limit) == 2.0
+    first = reset(env, jax.random.key(0), 8)
+    rollout = roll_out(env, forward, first, drawn_goals(env, first))
+    after = store(trainer.setup, state, hyper, rollout)
+    # The observation never varies: half a distance threshold of 0.05.
+    np.testing.assert_allclose(after.normaliser.observation.std, 0.025, rtol=1e-6)
