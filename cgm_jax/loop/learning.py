@@ -32,7 +32,6 @@ def minibatches(
     drawn = hyper.relabelling.sample(
         key, state.replay, updates * batch_size, setup.env.distance_threshold, setup.stages
     )
-
     if may_end(setup.env) and drawn.continues is None:
         raise SettingError("relabelling: must fill continues, since env ends episodes")
 
