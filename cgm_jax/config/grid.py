@@ -273,7 +273,7 @@ def _classes(names: Mapping[str, str]) -> dict[str, Any]:
     for kind, found in classes.items():
         if taken := sorted(RESERVED & {item.name for item in declared(found)}):
             raise SettingError(
-                f"{kind}: {names[kind]} calls a setting {taken[0]}, a name that is taken"
+                f"{kind}: {names[kind]} has a setting called {taken[0]}, a name that is taken"
             )
     return classes
 

@@ -1,4 +1,4 @@
-"""From groups of runs to an exit code: what sweep and train have in common."""
+"""From what is asked for to an exit code: what sweep and train have in common."""
 
 import itertools
 import sys

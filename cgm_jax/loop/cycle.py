@@ -11,7 +11,7 @@ from cgm_jax.curricula.parts.masks import mask_indices
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.exploration import Exploration, draw_exploration, explore
 from cgm_jax.loop.inputs import network_inputs
-from cgm_jax.loop.learning import learn
+from cgm_jax.loop.learning import learn, learn_part, parts_of_updates
 from cgm_jax.loop.normaliser import observe
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup
@@ -44,11 +44,19 @@ class Plan(NamedTuple):
 
 
 def cycle(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> TrainingState:
-    """Choose goals, roll out, store, and update the networks, where cycles are whole."""
+    """Choose goals, roll out, store, and update the networks: a cycle in one go, cut or not."""
     planned = plan(setup, state, hyper)
     rollout = carry_out(setup, state, hyper, planned, roll_out)
     state = store(setup, state, hyper, rollout).replace(key=planned.key)
-    return learn(setup, state, hyper, planned.draw_key, planned.agent_key)
+    keys = planned.draw_key, planned.agent_key
+    if not setup.is_cut:
+        return learn(setup, state, hyper, *keys)
+    return jax.lax.fori_loop(
+        0,
+        parts_of_updates(setup, hyper),
+        lambda index, state: learn_part(setup, state, hyper, *keys, index),
+        state,
+    )
 
 
 def plan(setup: Setup, state: TrainingState, hyper: Hyperparameters) -> Plan:

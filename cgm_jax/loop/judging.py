@@ -74,7 +74,12 @@ def rewards(env: GoalEnvironment, drawn: Transitions) -> jax.Array:
     if drawn.next_achieved is None:
         raise SettingError("relabelling: must fill next_achieved, since env has its own rules")
     if own_reward is not None:
-        return _mapped(own_reward, drawn.next_achieved, drawn.next_goal)
+
+        def reward(achieved: jax.Array, desired: jax.Array) -> jax.Array:
+            return jnp.asarray(own_reward(achieved, desired), jnp.float32)
+
+        own = _mapped(reward, drawn.next_achieved, drawn.next_goal)
+        return jnp.clip(own, *reward_range(env))
     assert rule is not None
     own = jnp.where(_mapped(rule, drawn.next_achieved, drawn.next_goal), 0.0, -1.0)
     if drawn.subgoal is None:
@@ -95,7 +100,8 @@ def reward_range(env: GoalEnvironment) -> tuple[float, float]:
     own = getattr(env, "reward_range", None)
     if own is None:
         raise SettingError("env: it has goal_reward, so it needs reward_range, (least, greatest)")
-    return own
+    least, greatest = own
+    return float(least), float(greatest)
 
 
 def may_end(env: GoalEnvironment) -> bool:
@@ -106,8 +112,10 @@ def may_end(env: GoalEnvironment) -> bool:
 def _success_rule(env: GoalEnvironment) -> Rule | None:
     """The environment's own, of which there is one at most: a function, or a tolerance."""
     rule, tolerance = getattr(env, "goal_success", None), getattr(env, "goal_tolerance", None)
+    if rule is not None:
+        return lambda achieved, desired: jnp.asarray(rule(achieved, desired), bool)
     if tolerance is None:
-        return rule
+        return None
     unit = jnp.asarray(tolerance, jnp.float32)
     return lambda achieved, desired: jnp.linalg.norm((achieved - desired) / unit) < 1.0
 

@@ -79,14 +79,10 @@ class OwnEnvironment:
         if hasattr(env, "goal_tolerance"):
             self.goal_tolerance = tolerance_of(env, name)
         if hasattr(env, "goal_success"):
-            self.goal_success = lambda achieved, desired: jnp.asarray(
-                env.goal_success(achieved, desired), bool
-            )
+            self.goal_success = env.goal_success
         if hasattr(env, "goal_reward"):
             self.reward_range = reward_range_of(env, name)
-            self.goal_reward = lambda achieved, desired: jnp.clip(
-                jnp.asarray(env.goal_reward(achieved, desired), jnp.float32), *self.reward_range
-            )
+            self.goal_reward = env.goal_reward
         if hasattr(env, "is_terminal"):
             self.is_terminal = lambda state: jnp.asarray(env.is_terminal(state.state), bool)
 

@@ -13,10 +13,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.cutting import Parts
+from cgm_jax.loop.cycle import cycle
 from cgm_jax.loop.devices import (
     ON_EACH,
     SPREAD,
@@ -90,9 +92,14 @@ def epoch(
     setup: Setup, state: TrainingState, hyper: Hyperparameters
 ) -> tuple[TrainingState, Metrics]:
     """One epoch: `cycles_per_epoch` cycles, of which one may have begun, and an evaluation."""
-    parts = setup.settings.cycles_per_epoch * parts_of_cycle(setup, hyper).total
-    begun = state.unfinished.done if setup.is_cut else 0
-    return evaluate(setup, train(setup, state, hyper, parts - begun), hyper)
+    count = setup.settings.cycles_per_epoch
+    if setup.is_cut:
+        # The rest in one go: under `jax.vmap` each part computes what all kinds of parts do.
+        begun, parts = state.unfinished.done, parts_of_cycle(setup, hyper).total
+        count -= jnp.where(begun > 0, 1, 0)
+        state = train(setup, state, hyper, -begun % parts)
+    state = jax.lax.fori_loop(0, count, lambda _, state: cycle(setup, state, hyper), state)
+    return evaluate(setup, state, hyper)
 
 
 SELDOM_RUN = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}

@@ -35,14 +35,21 @@ def is_directory(setting: str, path: Path) -> bool:
 def check_place(setting: str, path: Path) -> None:
     """Check that a directory lies at a path, or that nothing there is in the way of one.
 
+    Where no look is possible just now, whoever makes the directory says why.
+
     Raises:
-        SettingError: something else lies there, or where it would have to lie; see `look_at`.
+        SettingError: something else lies there, or where it would have to lie.
     """
     for place in (path, *path.parents):
-        if (found := look_at(setting, place)) is not None:
-            if not stat.S_ISDIR(found.st_mode):
-                raise SettingError(f"{setting}: {place} is no directory")
+        try:
+            found = place.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError:
             return
+        if not stat.S_ISDIR(found.st_mode):
+            raise SettingError(f"{setting}: {place} is no directory")
+        return
 
 
 def is_ordinary_file(setting: str, path: Path) -> bool:

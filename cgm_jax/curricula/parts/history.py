@@ -1,4 +1,4 @@
-"""Success rates over the last h noise-free evaluation episodes, per sub-goal or per mask."""
+"""Success rates over the last h noise-free evaluation episodes, per sub-goal."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 
 class SuccessHistory(struct.PyTreeNode):
-    """Outcomes of the last h evaluation rollouts, per sub-goal or per mask.
+    """Outcomes of the last h evaluation rollouts, per sub-goal, or what else all of them tell of.
 
     Attributes:
         successes: [h, columns] of 0 and 1, the newest last.

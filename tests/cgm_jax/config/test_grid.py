@@ -102,7 +102,7 @@ def test_a_component_cannot_take_a_name_of_training_itself(
     assert setting in code
     (tmp_path / "mine.py").write_text(code.replace(setting, name))
     chosen = f"{tmp_path / 'mine.py'}:{made}"
-    said = f"{kind}: {chosen} calls a setting {name}, a name that is taken"
+    said = f"{kind}: {chosen} has a setting called {name}, a name that is taken"
     with pytest.raises(SettingError, match=f"^{re.escape(said)}$"):
         build_groups("smoke", {kind: [chosen]})
 

@@ -40,20 +40,20 @@ def test_joint_rates_start_as_the_product() -> None:
 def test_a_mask_is_measured_by_the_last_of_its_own_episodes_that_count() -> None:
     """Two dimensions, four masks; three rounds of all masks, in which some physics broke."""
     curriculum = CGM(c_g=0.25, masked_evaluation_episodes=3, success_history=2)
-    success = jnp.array([[1, 0, 0, 1], [1, 1, 0, 1], [1, 1, 1, 0]], bool)
+    success = jnp.array([[1, 0, 0, 1], [1, 0, 0, 1], [1, 1, 1, 0]], bool)
     valid = jnp.array([[1, 1, 0, 0], [1, 1, 0, 1], [1, 0, 0, 1]], bool)
     known = sizes(2)
     episodes = outcomes_of(success.reshape(-1), valid.reshape(-1), curriculum.examination(known))
     nothing = outcomes_of(jnp.zeros(1, bool), jnp.zeros(1, bool), jnp.ones((1, 2)))
     state = curriculum.after_evaluation(curriculum.init(known), nothing, episodes)
     # Of the third mask nothing is known: its estimate stays, 0.25^(1/2).
-    np.testing.assert_allclose(curriculum.rates(state), [1.0, 0.5, 0.5, 0.5])
+    np.testing.assert_allclose(curriculum.rates(state), [1.0, 0.0, 0.5, 0.5])
     state = curriculum.after_evaluation(state, nothing, episodes)
     assert state.masks is not None
     np.testing.assert_array_equal(state.masks.inserted, [6, 4, 0, 4])
     swapped = episodes.replace(success=~episodes.success)
     state = curriculum.after_evaluation(state, nothing, swapped)
-    np.testing.assert_allclose(curriculum.rates(state), [0.0, 0.5, 0.5, 0.5])
+    np.testing.assert_allclose(curriculum.rates(state), [0.0, 1.0, 0.5, 0.5])
 
 
 def outcomes_of(success: jax.Array, valid: jax.Array, masks: Any) -> Outcomes:

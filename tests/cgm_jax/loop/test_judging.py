@@ -296,6 +296,25 @@ def test_refusals_call_an_own_curriculum_by_its_class(kind: type) -> None:
         init_state(make_setup(checked(kind(), "it"), TINY), hyper)
 
 
+class Generous(Rewarding):
+    """Rewards beyond their range, and of another type."""
+
+    def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        return jnp.where(jnp.abs(achieved_goal - desired_goal).sum() < 1.0, 7, -7)
+
+
+@pytest.mark.parametrize("env", [Generous(), checked(Generous(), "it")], ids=["raw", "checked"])
+def test_rewards_are_kept_within_their_range(env: Any) -> None:
+    state = make_trainer(env, TINY).init(tiny())
+    drawn = tiny().relabelling.sample(jax.random.key(0), state.replay, 2, 0.1)
+    drawn = drawn.replace(
+        next_achieved=jnp.array([[0.2, 0.2], [3.0, 0.0]]), next_goal=jnp.zeros((2, 2))
+    )
+    reward = rewards(env, drawn)
+    assert reward.tolist() == [0.0, -1.0]
+    assert reward.dtype == jnp.float32
+
+
 def test_rewards_without_a_range_are_refused_before_any_training() -> None:
     with pytest.raises(SettingError, match=r"^env: it has goal_reward, so it needs reward_range"):
         make_trainer(NoRange(), TINY).init(tiny())

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from brax.envs.base import State
 
 from cgm_jax.loop.cycle import store
@@ -49,11 +50,12 @@ def test_what_broken_episodes_achieved_counts_nowhere() -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class BrokenEarly(OneStepProbe):
-    """Of three steps the first breaks the physics, and says so then only."""
+class BrokenOnce(OneStepProbe):
+    """Of three steps one breaks the physics, and says so then only."""
 
     goals: tuple[float, ...] = (1.0,)
     episode_length: int = 3
+    breaks: float = 0.0
 
     def reset(self, rng: jax.Array) -> State:
         state = super().reset(rng).replace(pipeline_state=jnp.zeros(()))
@@ -63,7 +65,7 @@ class BrokenEarly(OneStepProbe):
     def step(self, state: State, action: jax.Array) -> State:
         steps: Any = state.pipeline_state
         after = super().step(state, action).replace(pipeline_state=steps + 1.0)
-        after.metrics["physics_warnings"] = jnp.where(steps == 0.0, 1.0, 0.0)
+        after.metrics["physics_warnings"] = jnp.where(steps == self.breaks, 1.0, 0.0)
         return after
 
 
@@ -73,8 +75,9 @@ def forward(observation: jax.Array, goal: jax.Array, noise: Any) -> jax.Array:
     return jnp.ones((len(observation), goal.shape[-1]))
 
 
-def test_a_warning_at_any_step_drops_the_episode() -> None:
-    env = BrokenEarly()
+@pytest.mark.parametrize("step", [0.0, 1.0, 2.0])
+def test_a_warning_at_any_step_drops_the_episode(step: float) -> None:
+    env = BrokenOnce(breaks=step)
     first = reset(env, jax.random.key(0), 2)
     rollout = roll_out(env, forward, first, drawn_goals(env, first))
     assert rollout.broken.tolist() == [True, True]

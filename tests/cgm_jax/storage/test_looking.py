@@ -1,5 +1,6 @@
 """Looking at what a user names, where not even that is possible: one line, and nothing is made."""
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,8 @@ import pytest
 from cgm_jax import evaluate, export, launch, merge, report, sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.warm_start import read_source
-from cgm_jax.storage.looking import is_directory, is_ordinary_file, is_there
+from cgm_jax.storage.looking import check_place, is_directory, is_ordinary_file, is_there
+from tests.cgm_jax.refusing import refusing
 
 LONG = "x" * 300
 
@@ -82,3 +84,17 @@ def test_a_name_that_is_too_long_is_refused_in_one_line(
     with pytest.raises(SettingError, match=line):
         main(words)
     assert not list(tmp_path.iterdir())
+
+
+def test_only_what_is_there_and_is_no_directory_is_in_the_way_of_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for place in (file, file / "below" / "it"):
+        with pytest.raises(SettingError, match=f"^out: {file} is no directory$"):
+            check_place("out", place)
+    check_place("out", tmp_path)
+    check_place("out", tmp_path / "new" / "one")
+    monkeypatch.setattr(Path, "stat", refusing(errno.ESTALE))  # a disk that is away
+    check_place("out", file)
