@@ -63,16 +63,18 @@ class FaultyProbe(OneStepProbe):
 
 @dataclass(frozen=True)
 class AlwaysFaultyProbe(OneStepProbe):
-    """The probe, with physics that always break."""
+    """The probe, with physics that always break: in the step, or in the reset and not after it."""
+
+    in_reset: bool = False
 
     def reset(self, rng: jax.Array) -> State:
         state = super().reset(rng)
-        state.metrics["physics_warnings"] = jnp.zeros(())
+        state.metrics["physics_warnings"] = jnp.float32(self.in_reset)
         return state
 
     def step(self, state: State, action: jax.Array) -> State:
         after = super().step(state, action)
-        after.metrics["physics_warnings"] = jnp.ones(())
+        after.metrics["physics_warnings"] = jnp.float32(not self.in_reset)
         return after
 
 

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.base import State
 
 from cgm_jax.config.fields import declared, stack
 from cgm_jax.config.settings import Hyperparameters
@@ -269,23 +268,9 @@ def test_without_an_episode_to_learn_from_the_agent_stays_as_it_was() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-class FaultyStart(AlwaysFaultyProbe):
-    """The probe, with physics that break where an episode begins."""
-
-    def reset(self, rng: jax.Array) -> State:
-        state = super().reset(rng)
-        state.metrics["physics_warnings"] = jnp.ones(())
-        return state
-
-    def step(self, state: State, action: jax.Array) -> State:
-        after = super().step(state, action)
-        after.metrics["physics_warnings"] = jnp.zeros(())
-        return after
-
-
 @pytest.mark.parametrize("wrap", [lambda env: env, lambda env: checked(env, "it")])
 def test_physics_that_broke_in_a_reset_drop_the_episode(wrap: Any) -> None:
-    trainer = make_trainer(wrap(FaultyStart((1.0,))), TINY)
+    trainer = make_trainer(wrap(AlwaysFaultyProbe((1.0,), in_reset=True)), TINY)
     state, metrics = jax.jit(trainer.epoch)(trainer.init(tiny()), tiny())
     assert int(state.replay.inserted) == 0
     assert float(metrics["physics_warnings"]) == 2 * 8 + 10
