@@ -2,15 +2,12 @@
 
 import errno
 import importlib.util
-import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -19,14 +16,10 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.host import session
 from cgm_jax.launching import check, local, ray, slurm
 from cgm_jax.launching.check import check_sweep
-from cgm_jax.launching.directory import Launch, Resources, carried_environment, read_launch
-from cgm_jax.launching.local import Local
-from cgm_jax.launching.progress import JointProgress, Rows
-from cgm_jax.launching.slurm import sbatch_options
+from cgm_jax.launching.directory import Launch, Resources, read_launch
 from cgm_jax.machine.allotment import MEMORY_VARIABLE
 from cgm_jax.storage import run_directory
 from cgm_jax.storage.lock import InUseError, locked
-from cgm_jax.storage.metrics import to_lines
 from tests.cgm_jax.launching.launches import (
     SMOKE,
     assert_as_if_never_disturbed,
@@ -270,131 +263,6 @@ def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:
     (folder / "out").mkdir()
     with locked(folder / "out"), pytest.raises(InUseError):
         program.main(["--jobs", "2", "--out", "out", *SMOKE])
-
-
-@pytest.mark.parametrize(
-    ("parts", "resources", "rooms", "cores"),
-    [
-        (2, Resources(), 2, 4),
-        (3, Resources(), 3, 2),
-        (99, Resources(), 8, 1),
-        (99, Resources(cores=3), 2, 3),
-        (1, Resources(cores=1), 1, 1),
-        (99, Resources(gpus=1), 4, 2),
-        (99, Resources(gpus=2, cores=1), 2, 1),
-        (99, Resources(gpus=1, cores=4), 2, 4),
-        (2, Resources(gpus=0), 2, 4),
-        (99, Resources(memory=5), 3, 2),
-        (99, Resources(cores=1, memory=1), 8, 1),
-    ],
-)
-def test_a_machine_of_eight_cores_four_gpus_and_16_gib_is_shared_out(
-    monkeypatch: pytest.MonkeyPatch, parts: int, resources: Resources, rooms: int, cores: int
-) -> None:
-    monkeypatch.setattr(local, "free_memory", lambda: 16 * 2**30)
-    monkeypatch.setattr(local, "available_cores", lambda: 8)
-    gpus = ["0", "1", "2", "3"] if resources.gpus is not None else []
-    monkeypatch.setattr(local, "visible_gpus", lambda: gpus)
-    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
-    engine = Local(parts, resources)
-    assert (engine.rooms, engine.room(), engine.cores) == (rooms, rooms, cores)
-
-
-def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local, "free_memory", lambda: 16 * 2**30)
-    with pytest.raises(SettingError, match=r"^memory: 17 GiB are more than the 16\.0 free here$"):
-        Local(2, Resources(memory=17))
-
-
-@pytest.mark.parametrize(("memory", "told"), [(None, None), (1.5, "1536")])
-def test_ray_tells_parts_how_much_memory_they_have(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, memory: float | None, told: str | None
-) -> None:
-    attempts: list[Any] = []
-    attempt = SimpleNamespace(remote=lambda *arguments: attempts.append(arguments))
-    fake = SimpleNamespace(init=lambda **_: None, remote=lambda **_: lambda _: attempt)
-    monkeypatch.setitem(sys.modules, "ray", fake)
-    launch = Launch(tmp_path, "ray", 1, "smoke", (), Resources(memory=memory))
-    engine = ray.Ray(launch.resources)
-    engine.begin(launch)
-    engine.start([1])
-    ((_, order, carried, *_),) = attempts
-    assert carried.get("CGM_JAX_MEMORY_MIB") == told
-    assert json.loads(order)["environment"].get("CGM_JAX_MEMORY_MIB") == told
-
-
-def test_gpus_are_given_out_and_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
-    monkeypatch.setattr(local, "available_cores", lambda: 2)
-    show = "import os; print(os.environ['CUDA_VISIBLE_DEVICES'], os.environ['CGM_JAX_MEMORY_MIB'])"
-    monkeypatch.setattr(Launch, "command", lambda *_: [sys.executable, "-I", "-c", show])
-    launch = Launch(tmp_path, "local", 3, "smoke", (), Resources(memory=1.5))
-    launch.write()
-    engine = Local(3, launch.resources)
-    engine.begin(launch)
-    engine.start([1, 2])
-    assert engine.room() == 0
-    ended: dict[int, Any] = {}
-    while len(ended) < 2:
-        ended |= engine.ended()
-    assert engine.room() == 2
-    seen = sorted(launch.log(part).read_text() for part in (1, 2))
-    assert seen == ["GPU-a 1536\n", "GPU-b 1536\n"]
-
-
-def test_sbatch_takes_what_cannot_do_harm() -> None:
-    assert sbatch_options(["partition=gpu,long", "gres=gpu:a100:2", "exclusive"]) == {
-        "partition": "gpu,long",
-        "gres": "gpu:a100:2",
-        "exclusive": True,
-    }
-    for text in ("output=/home/me/.bashrc", "wrap=rm", "comment=a\nrm -r x", "comment=$(rm)"):
-        with pytest.raises(SettingError, match=r"^sbatch: "):
-            sbatch_options([text])
-
-
-def test_other_machines_get_what_they_need(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", "/code")
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
-    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
-    monkeypatch.setenv("HOME", "/home/me")
-    carried = carried_environment()
-    assert carried["PYTHONPATH"] == "/code"
-    assert carried["XDG_STATE_HOME"] == "/home/me/.local/state"  # the list of allowed files
-    assert "CUDA_VISIBLE_DEVICES" not in carried
-
-
-def test_rows_are_read_once_and_anew_when_an_attempt_begins(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.jsonl"
-    found = Rows(path)
-    found.update()
-    assert (found.count, found.success) == (0, {})
-    path.write_text('{"run": "a", "success_rate": 0.5}\n{"run": "b", "succ')
-    found.update()
-    assert (found.count, found.success) == (1, {"a": 0.5})
-    with path.open("a") as file:
-        file.write('ess_rate": null}\n')
-    found.update()
-    assert (found.count, found.success) == (2, {"a": 0.5, "b": None})
-    other = tmp_path / "other"
-    other.write_text('{"run": "a", "success_rate": 0.25}\n')
-    other.replace(path)
-    found.update()
-    assert (found.count, found.success) == (1, {"a": 0.25})
-
-
-def test_progress_is_one_line(tmp_path: Path) -> None:
-    paths = {part: tmp_path / f"{part}.jsonl" for part in (1, 2)}
-    written = [{"run": "a", "success_rate": 1.0}, {"run": "b", "success_rate": 0.0}]
-    paths[1].write_text(to_lines(written))
-    paths[2].write_text('{"run": "c", "success_rate": null}\n')
-    progress = JointProgress(paths, {1: 4, 2: 6})
-    progress.show([], 2)
-    line = "30 % of 10 epochs over all runs; 0 of 2 parts done, 2 running"
-    success = "; success median 50 % of 3 runs (0 % to 100 %)"
-    assert progress.line([], 2) == line + success
-    assert progress.line([2], 1).startswith("80 % of 10 epochs over all runs; 1 of 2 parts done")
 
 
 def test_ray_and_slurm_are_not_imported_without_need() -> None:
