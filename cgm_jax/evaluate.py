@@ -27,13 +27,13 @@ from cgm_jax.host.startup import prepare_jax
 from cgm_jax.pretrained import NAMES as PRETRAINED
 from cgm_jax.pretrained import pretrained_policy
 from cgm_jax.results.chosen import chosen_policies, named_code
-from cgm_jax.results.plan import Plan, mask_words
+from cgm_jax.results.plan import Plan, goal_mask, mask_words
 from cgm_jax.results.statistics import wilson_interval
 from cgm_jax.storage.looking import is_directory
 
 if TYPE_CHECKING:
     from cgm_jax.host.progress import CountProgress
-    from cgm_jax.results.policies import Outcome
+    from cgm_jax.results.episodes import Outcome
 
 GIF = ".gif"
 VIDEO_FORMATS = (".mp4", GIF)
@@ -268,7 +268,6 @@ def _view(outcome: "Outcome", mask: str, interruption: Interruption) -> None:
 
     from cgm_jax.envs.fetch import FetchEnvironment
     from cgm_jax.envs.viewer import play
-    from cgm_jax.results.policies import goal_mask
 
     recording, env = outcome.recording, outcome.env
     if recording is None or not isinstance(env, FetchEnvironment):

@@ -3,6 +3,8 @@
 import re
 from dataclasses import dataclass
 
+import numpy as np
+
 from cgm_jax.config.fields import SettingError
 
 AXES = "xyz"
@@ -63,6 +65,13 @@ def masked_axes(mask: str) -> list[int]:
             raise _bad_mask(mask)
         axes.append(AXES.index(word) if word in AXES else int(word))
     return axes
+
+
+def goal_mask(mask: str, goal_size: int) -> np.ndarray:
+    """From names of masked dimensions to 1 = keep, 0 = masked, [goal_size] float32."""
+    kept = np.ones(goal_size, np.float32)
+    kept[masked_axes(mask)] = 0.0
+    return kept
 
 
 def _bad_mask(mask: str) -> SettingError:

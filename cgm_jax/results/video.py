@@ -16,7 +16,8 @@ from PIL import Image
 from cgm_jax.envs import RenderableEnvironment
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
-from cgm_jax.results.policies import Recording, goal_mask
+from cgm_jax.results.episodes import Recording
+from cgm_jax.results.plan import goal_mask
 from cgm_jax.storage.files import PARTIAL
 
 HELD_FRAMES = 12

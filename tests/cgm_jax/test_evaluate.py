@@ -16,8 +16,9 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
+from cgm_jax.results.episodes import Outcome
 from cgm_jax.results.plan import Plan
-from cgm_jax.results.policies import Outcome, evaluate_random
+from cgm_jax.results.policies import evaluate_random
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.reaching import REACH, reaching_policy, reaching_runs
 from tests.cgm_jax.sweeps import ROOT, finish

@@ -15,10 +15,11 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.pretrained import NAMES, RECORD, pretrained_policy
-from cgm_jax.results import policies
+from cgm_jax.results import episodes
 from cgm_jax.results.chosen import chosen_policies
+from cgm_jax.results.episodes import Outcome, Recording
 from cgm_jax.results.plan import Plan
-from cgm_jax.results.policies import Outcome, Recording, evaluate_policies, evaluate_random
+from cgm_jax.results.policies import evaluate_policies, evaluate_random
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax import own_environments
 from tests.cgm_jax.reaching import REACH, reaching_runs
@@ -112,8 +113,8 @@ def test_chunks_do_not_change_what_is_found(
     plan = Plan(episodes=50, seed=3, recorded=45)
     whole = evaluate(directory, plan)
     told: list[tuple[int, int]] = []
-    monkeypatch.setattr(policies, "CHUNK_EPISODES", 20)
-    monkeypatch.setattr(policies, "CHUNK_ROWS", 20)  # one policy after the other
+    monkeypatch.setattr(episodes, "CHUNK_EPISODES", 20)
+    monkeypatch.setattr(episodes, "CHUNK_ROWS", 20)  # one policy after the other
     cut = evaluate(directory, plan, progress=lambda *counts: told.append(counts))
     assert told == [(done, 100) for done in (20, 40, 50, 70, 90, 100)]
     assert list(whole) == list(cut)
