@@ -16,7 +16,6 @@ from cgm_jax.config.components import ROOMS
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import (
-    name_own_code,
     owns_process,
     parse,
     print_restored,
@@ -24,6 +23,7 @@ from cgm_jax.host.command_line import (
 )
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.host.training_options import name_own_code
 from cgm_jax.pretrained import NAMES as PRETRAINED
 from cgm_jax.pretrained import pretrained_policy
 from cgm_jax.results.chosen import chosen_policies, named_code

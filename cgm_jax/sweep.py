@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from cgm_jax.host.asked import asked_for
-from cgm_jax.host.command_line import TrainingOptions, parse, run_program
+from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.host.session import train_groups
+from cgm_jax.host.training_options import TrainingOptions
 from cgm_jax.machine.commands import begun_with
 
 

@@ -1,7 +1,8 @@
 """The process around training: signals, memory, progress.
 
-    command_line.py     what sweep and train are asked for; exit_codes.py what a program ends with
-    setting_options.py  an option per setting; help_texts.py what --help says
+    command_line.py     arguments of all programs; exit_codes.py what a program ends with
+    training_options.py what sweep and train are asked for; setting_options.py an option per setting
+    help_texts.py       what --help says
     devices.py          --devices: how many share the runs
     asked.py            what is to be trained: options, over a settings_file.py, over a preset
     to_train.py         the same, as jobs, beside what the directory holds

@@ -10,9 +10,9 @@ from cgm_jax.config.grid import Group, build_groups, groups_again
 from cgm_jax.config.presets import Grid
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.config.shards import Shard, cut, former_digest, parse_shard
-from cgm_jax.host.command_line import TrainingOptions, chosen_values, seed_values
 from cgm_jax.host.setting_options import given_settings
 from cgm_jax.host.settings_file import SettingsFile, read_settings_file, typed
+from cgm_jax.host.training_options import TrainingOptions, chosen_values, seed_values
 from cgm_jax.storage.config_file import damaged
 from cgm_jax.storage.untrusted import UNREADABLE
 

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import TrainingOptions, bring_config_back, owns_process
+from cgm_jax.host.command_line import bring_config_back, owns_process
 from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import STOPPED_AT_ONCE, Interruption
 from cgm_jax.host.progress import SweepProgress, physics_lines, summary_lines
 from cgm_jax.host.to_train import find_to_train, record
+from cgm_jax.host.training_options import TrainingOptions
 from cgm_jax.machine.commands import shell_command
 from cgm_jax.machine.device_errors import DeviceError
 from cgm_jax.results.tracking import Tracking, find_tracker

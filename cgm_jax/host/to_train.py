@@ -12,11 +12,11 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import Shard
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import TrainingOptions
 from cgm_jax.host.devices import check_devices, cpu_devices, describe_devices, parse_devices
 from cgm_jax.host.differences import check_same, check_unchanged
 from cgm_jax.host.extension import extended
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.host.training_options import TrainingOptions
 from cgm_jax.storage.config_file import read_origin
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory

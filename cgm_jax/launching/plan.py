@@ -15,7 +15,8 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
 from cgm_jax.config.named import is_own, load_named, name_now, require_named
 from cgm_jax.config.shards import MAX_PARTS
-from cgm_jax.host.command_line import chosen_values, parse, seed_values
+from cgm_jax.host.command_line import parse
+from cgm_jax.host.training_options import chosen_values, seed_values
 from cgm_jax.launching.directory import (
     ANY_CLUSTER,
     Launch,

@@ -9,7 +9,8 @@ from cgm_jax.config.components import ROOMS, component
 from cgm_jax.config.fields import declared
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.settings import LOOP_FIELDS
-from cgm_jax.host.command_line import chosen_values, parse, seed_values
+from cgm_jax.host.command_line import parse
+from cgm_jax.host.training_options import chosen_values, seed_values
 from cgm_jax.sweep import SweepOptions
 from experiments.learning.records import RecordedRun, recorded_runs, settings_of
 

@@ -11,7 +11,8 @@ from cgm_jax.config.components import ROOMS, builtin_fields
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.settings import LOOP_FIELDS
-from cgm_jax.host.command_line import chosen_values, parse
+from cgm_jax.host.command_line import parse
+from cgm_jax.host.training_options import chosen_values
 from cgm_jax.storage.run_directory import RunDirectory
 from cgm_jax.sweep import SweepOptions
 
