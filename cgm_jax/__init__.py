@@ -44,8 +44,9 @@ may change with any version:
     from cgm_jax.gymnasium.stable_baselines3 import CurriculumEvalCallback
     from cgm_jax.loop.training import Programs, Trainer, make_programs, make_trainer
     from cgm_jax.pretrained import pretrained_policy
+    from cgm_jax.replay.future import Drawn, Future
     from cgm_jax.replay.protocol import Relabelling, Transitions
-    from cgm_jax.replay.ring import Episodes, Replay
+    from cgm_jax.replay.ring import Episodes, Replay, steps_taken
     from cgm_jax.report import main
     from cgm_jax.results.trackers.protocol import Tracker
     from cgm_jax.storage.policies import act, load_policy

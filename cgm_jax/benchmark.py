@@ -74,7 +74,12 @@ class BenchmarkOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(BenchmarkOptions, arguments, "python -m cgm_jax.benchmark")
     options.check()
     if options.against is not None:

@@ -62,7 +62,7 @@ class EvaluateOptions:
 
     env: tuple[str, ...] | None = None
     """For --random, and for a policy file that lies in no run directory: reach, push,
-    pick_and_place, FILE.py:FACTORY of your own, or gymnasium:MODULE:ID. With a directory: a file
+    pick_and_place, FILE.py:NAME of your own, or gymnasium:MODULE:ID. With a directory: a file
     that its policies were trained on, if it has moved, was edited, or was never named on this
     machine; so --curriculum, --agent and --relabelling."""
 
@@ -104,7 +104,12 @@ class EvaluateOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
     _check(options)
     plan = _plan(options)

@@ -42,7 +42,12 @@ class ExportOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(ExportOptions, arguments, "python -m cgm_jax.export")
     files = _files(options)
     if not options.onnx:

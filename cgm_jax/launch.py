@@ -28,7 +28,13 @@ from cgm_jax.storage.run_directory import RunDirectory, claiming
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        InUseError: another process works in the directory.
+        SystemExit: an argument is no option, or asks for help.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     place = words.index("--") if "--" in words else len(words)
     check_separated(words[:place])

@@ -41,7 +41,12 @@ class MergeOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(MergeOptions, arguments, "python -m cgm_jax.merge")
     out = options.out
     if out is None or out == Path():

@@ -53,7 +53,12 @@ class ReportOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(ReportOptions, arguments, "python -m cgm_jax.report")
     _check(options)
     out = options.out or options.directories[0] / NAME

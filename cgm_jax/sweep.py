@@ -16,10 +16,10 @@ class SweepOptions(TrainingOptions):
     """Train every combination of the given values, side by side in one process.
 
     A setting takes one or more values; several make a grid axis. Settings that are not given have
-    the preset's value, which is shown below (of another: --preset NAME --help), or else their
-    default. Where it says "splits programs", each value is a program of its own, compiled and
-    trained one after another; values of the others train side by side in one program. The same
-    command again resumes where it was stopped.
+    the preset's value, which is shown below (of another preset or task: --preset NAME --env NAME
+    --help), or else their default. Where it says "splits programs", each value is a program of its
+    own, compiled and trained one after another; values of the others train side by side in one
+    program. The same command with the same --out resumes where it was stopped.
     """
 
     default_preset: ClassVar[str] = "quick"
@@ -33,7 +33,13 @@ class SweepOptions(TrainingOptions):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        InUseError: another process works in the directory.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(SweepOptions, arguments, "python -m cgm_jax.sweep")
     command = begun_with("cgm_jax.sweep", arguments)
     return train_groups(options, asked_for(options), command)

@@ -16,8 +16,8 @@ class TrainOptions(TrainingOptions):
     """Train one run.
 
     Settings that are not given have the first of the preset's values, which is shown below (of
-    another: --preset NAME --help), or else their default. "Splits programs" is for sweeps. The same
-    command again resumes where it was stopped.
+    another preset or task: --preset NAME --env NAME --help), or else their default. "Splits
+    programs" is for sweeps. The same command with the same --out resumes where it was stopped.
     """
 
     default_preset: ClassVar[str] = "cpu"
@@ -25,7 +25,13 @@ class TrainOptions(TrainingOptions):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program on command-line arguments; return its exit code."""
+    """Run the program on command-line arguments; return its exit code.
+
+    Raises:
+        SettingError: input is refused.
+        InUseError: another process works in the directory.
+        SystemExit: an argument is no option, or asks for help.
+    """
     options = parse(TrainOptions, arguments, "python -m cgm_jax.train")
     command = begun_with("cgm_jax.train", arguments)
     return train_groups(options, asked_for(options), command)

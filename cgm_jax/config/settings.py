@@ -22,7 +22,7 @@ class Settings:
     """
 
     env: str = static(
-        "push", "reach, push, pick_and_place, FILE.py:FACTORY of your own, or gymnasium:MODULE:ID"
+        "push", "reach, push, pick_and_place, FILE.py:NAME of your own, or gymnasium:MODULE:ID"
     )
     engine: str = static("auto", "auto, native, mjx or warp")
     air_probability: float | None = static(

@@ -124,7 +124,7 @@ def _choice(kind: str) -> tuple[str, Any, Any]:
     names = ", ".join(sorted(builtin(kind)))
     appearance = tyro.conf.arg(
         help=f"{names}, or FILE.py:NAME of your own",
-        metavar="NAME [NAME ...]",
+        metavar=_words("NAME"),
         help_behavior_hint=_hint(kind, f"default {DEFAULTS[kind]}", SPLITS),
         prefix_name=False,
     )
@@ -139,11 +139,16 @@ def _option(item: "Field[Any]") -> tuple[str, Any, Any]:
     split = "" if item.metadata["traced"] else SPLITS
     appearance = tyro.conf.arg(
         help=item.metadata["help"],
-        metavar=f"{word} [{word} ...]",
+        metavar=_words(word),
         help_behavior_hint=_hint(item.name, _defaults(item), split),
         prefix_name=False,
     )
     return item.name, Annotated[tuple[accepted, ...] | None, appearance], None
+
+
+def _words(word: str) -> str:
+    """How --help writes one value, or as many as a sweep takes."""
+    return word if _shown.get().single else f"{word} [{word} ...]"
 
 
 def _defaults(item: "Field[Any]") -> str:

@@ -28,9 +28,9 @@ from cgm_jax.loop.own_checks import checked
 
 
 def make_environment(settings: Settings) -> GoalEnvironment:
-    """Make `settings.env`: a name in `envs.TASKS`, FILE.py:FACTORY or package.module:FACTORY.
+    """Make `settings.env`: a name in `envs.TASKS`, FILE.py:NAME or package.module:NAME.
 
-    FACTORY is called without arguments and returns a `GoalEnvironment`. gymnasium:ID, or
+    NAME is called without arguments and returns a `GoalEnvironment`. gymnasium:ID, or
     gymnasium:MODULE:ID, is an environment of Gymnasium's.
 
     Raises:

@@ -1,8 +1,8 @@
 """What a way to relabel offers to the loop: minibatches of transitions from the replay ring.
 
 It is a class of settings (see `config/fields.py`) with pure functions of one run, which the loop
-maps over runs, the settings included: `sample`, which it must define, and `pursued`, if it needs
-stages.
+maps over runs, the settings included: `sample`, which it must define, and `shows` and
+`pursued`, if it needs stages.
 """
 
 from abc import abstractmethod

@@ -34,7 +34,7 @@ def video_frames(
     Args:
         env: what was recorded: a Fetch environment, or a `RenderableEnvironment`.
         recording: whole episodes of it.
-        mask: masked axes, as `evaluation.Plan` has them; only Fetch environments draw it.
+        mask: masked axes, as `results.plan.Plan` has them; only Fetch environments draw it.
         width: of a frame, pixels; the height is three quarters of it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A user's own curriculum and agent, from the command line to metrics and checkpoints."""
+"""A user's own curriculum, agent and relabelling, from the command line to checkpoints."""
 
 import functools
 import json
@@ -19,8 +19,9 @@ from tests.cgm_jax.sweeps import POINT_MASS
 
 GROWING = f"{Path(__file__).with_name('my_curriculum.py')}:Growing"
 AGENT = f"{Path(__file__).with_name('my_agent.py')}:MyAgent"
+RELABELLING = f"{Path(__file__).with_name('my_relabelling.py')}:Final"
 OPTIONS = ["--preset", "smoke", "--env", POINT_MASS, "--curriculum", GROWING, "--agent", AGENT]
-OPTIONS += ["--epochs", "2", "--cycles-per-epoch", "1"]
+OPTIONS += ["--relabelling", RELABELLING, "--epochs", "2", "--cycles-per-epoch", "1"]
 
 
 def test_its_own_setting_is_swept_in_one_program() -> None:
