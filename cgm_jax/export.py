@@ -18,6 +18,7 @@ from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.pretrained import NAMES as PRETRAINED
 from cgm_jax.pretrained import pretrained_policy
 from cgm_jax.storage.looking import is_directory, is_ordinary_file
+from cgm_jax.storage.untrusted import printable
 
 ONNX = ".onnx"
 
@@ -75,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 file.write(model)
         except OSError as error:
             raise SettingError(f"out: cannot write {target}: {error.strerror}") from None
-        print(target)
+        print(printable(str(target)))
     return 0
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import piece
-from cgm_jax.host.command_line import owns_process, parse, run_program
+from cgm_jax.host.command_line import bring_config_back, owns_process, parse, run_program
 from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import RUNS, new_directory
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import ANY_CLUSTER, Launch, absolute_path
-from cgm_jax.launching.merged import check_merged
+from cgm_jax.launching.merged import is_merged
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, check_separated, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.machine.commands import begun_with, shell_command
@@ -60,12 +60,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             if launch.path == Path():
                 launch = replace(launch, path=absolute_path(new_directory(launch.preset)))
-            directory = claimed.enter_context(_claimed(launch, fresh=fresh))
+            if not fresh:
+                bring_config_back(launch.path)  # of a launch that was merged
+            directory, merged = claimed.enter_context(_claimed(launch, fresh=fresh))
         except OSError as error:
             return _refused(error, launch, begun=not fresh)
+        if merged:
+            return conclude(directory, directory.checked_metrics())
         interruption.expendable = False
         command = begun_with("cgm_jax.launch", words)
-        return _run(launch, engine, groups, directory, interruption, command)
+        try:
+            return _run(launch, engine, groups, directory, interruption, command)
+        except OSError as error:
+            return _refused(error, launch, begun=True)
 
 
 def _engine(launch: Launch) -> Engine:
@@ -88,8 +95,8 @@ def _engine(launch: Launch) -> Engine:
 
 
 @contextlib.contextmanager
-def _claimed(launch: Launch, *, fresh: bool) -> Iterator[RunDirectory]:
-    """The launch's directory, in which no other launcher is meanwhile.
+def _claimed(launch: Launch, *, fresh: bool) -> Iterator[tuple[RunDirectory, bool]]:
+    """The launch's directory, in which no other launcher is meanwhile; and whether it is merged.
 
     Raises:
         SettingError: it cannot be written to, or holds something else.
@@ -97,10 +104,10 @@ def _claimed(launch: Launch, *, fresh: bool) -> Iterator[RunDirectory]:
         InUseError: another launcher has it.
     """
     with RunDirectory.claimed(launch.path, fresh=fresh) as directory:
-        check_merged(directory)
+        merged = is_merged(directory)
         with claiming(launch.path, fresh=fresh):
             launch.write()
-        yield directory
+        yield directory, merged
 
 
 def _refused(error: OSError, launch: Launch, *, begun: bool) -> int:
@@ -119,9 +126,12 @@ def _run(
     interruption: Interruption,
     command: Sequence[str],
 ) -> int:
-    """Train all parts and merge them."""
-    if directory.holds_sweep():
-        return conclude(directory, directory.checked_metrics())
+    """Train all parts and merge them.
+
+    Raises:
+        SettingError: parts are not what was launched.
+        OSError: what they have written cannot be read just now, or the merged sweep not be written.
+    """
     runs = sum(len(group.runs) for group in groups)
     print(f"{launch.path}: {runs} runs in {launch.parts} parts, {launch.on}", file=sys.stderr)
     codes = supervise(launch, engine, _epochs(launch, groups), interruption)
@@ -137,11 +147,7 @@ def _run(
     parts = read_parts([launch.out(part) for part in codes])
     if names := differences(parts):
         print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)
-    try:
-        rows = write_merged(parts, directory, command)
-    except OSError as error:
-        return _refused(error, launch, begun=True)
-    return conclude(directory, rows)
+    return conclude(directory, write_merged(parts, directory, command))
 
 
 def _epochs(launch: Launch, groups: Sequence[Group]) -> dict[int, int]:
@@ -156,7 +162,7 @@ def _epochs(launch: Launch, groups: Sequence[Group]) -> dict[int, int]:
 
 def _how_to_resume(launch: Launch) -> str:
     address = launch.resources.address
-    named = [] if address == ANY_CLUSTER else ["--address", address]
+    named = ["--address", address] if launch.on == "ray" and address != ANY_CLUSTER else []
     return f"to resume: {shell_command('cgm_jax.launch', '--resume', launch.path, *named)}"
 
 

@@ -18,7 +18,7 @@ from cgm_jax.host.interruption import Interruption
 from cgm_jax.machine.commands import begun_with
 from cgm_jax.results.merging import differences, write_merged
 from cgm_jax.results.parts import read_parts
-from cgm_jax.storage.files import refusal
+from cgm_jax.storage.files import ReadError, refusal
 from cgm_jax.storage.looking import is_there, look_at
 from cgm_jax.storage.run_directory import RunDirectory, claiming
 
@@ -60,7 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 bring_config_back(path)
             except OSError as error:
                 return _refused(error, path)
-        parts = read_parts(options.directories)
+        try:
+            parts = read_parts(options.directories)
+        except ReadError as error:
+            return _refused(error, out)
         if names := differences(parts):
             print(f"bits may differ: parts differ in {', '.join(names)}", file=sys.stderr)
         # Made beside and then renamed, so that `out` is whole or not there.

@@ -23,9 +23,10 @@ from cgm_jax.host.setting_options import asks_for_help, in_groups, show_preset
 from cgm_jax.host.streams import make_streams_harmless
 from cgm_jax.host.training_options import TrainingOptions
 from cgm_jax.machine.device_errors import DeviceError
-from cgm_jax.storage.files import refusal
+from cgm_jax.storage.files import ReadError, refusal
 from cgm_jax.storage.lock import InUseError
 from cgm_jax.storage.run_directory import RunDirectory
+from cgm_jax.storage.untrusted import printable
 
 MAX_MESSAGE = 2000
 _OWNS_PROCESS = ContextVar("owns_process", default=False)
@@ -108,6 +109,8 @@ def run_program(main: Callable[[], int]) -> NoReturn:
         refuse(str(error))
     except InUseError as error:
         refuse(str(error), ExitCode.IN_USE)
+    except ReadError as error:
+        refuse(refusal(error, Path()), ExitCode.CANNOT_WRITE)
     except DeviceError as error:
         refuse(str(error), ExitCode.FAILED)
     except KeyboardInterrupt:
@@ -144,7 +147,7 @@ def owns_process() -> bool:
 
 def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
     """End with one line and an exit code."""
-    line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
+    line = printable(" ".join(message.split()))
     shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
     print(f"error: {shown}", file=sys.stderr)
     sys.exit(code)

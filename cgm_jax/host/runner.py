@@ -1,5 +1,6 @@
 """The host loop: chunks of training on the device, files and progress in between."""
 
+import itertools
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -66,20 +67,25 @@ def run_jobs(
             from is gone.
     """
     rows, last, former = [], [], directory.former_metrics()
-    known = sum(len(former.get(run.name, ())) for job in jobs for run in job.group.runs)
+    former_rows = [_former_rows(job.group, former) for job in jobs]
+    known = sum(map(len, former_rows))
     has_foreign_lines = (directory.count_metrics() or 0) > known
+    written: list[Row] | None = None  # what the file holds, once that is known
     shard = directory.config.shard()
     swept = shard.swept if shard else swept_settings([job.group for job in jobs])
     for index, job in enumerate(jobs):
         progress.compiling()
         job, training = _begin(job, index, directory, compiler)
         if not (training.epoch or training.cycle or training.part):
-            has_foreign_lines = _keep_lost_metrics(
-                job.group, index, directory, former, has_foreign_lines=has_foreign_lines
-            )
+            lost = has_foreign_lines or bool(former_rows[index])
+            if _keep_lost_metrics(index, directory, lost=lost):
+                written = None
+            has_foreign_lines = False
         # What later groups have done stays in the file, however this one ends.
-        later = [row for other in jobs[index + 1 :] for row in _former_rows(other.group, former)]
-        directory.replace_metrics(rows + training.rows + later)
+        known_rows = [*rows, *training.rows, *itertools.chain(*former_rows[index + 1 :])]
+        if written != known_rows:  # of many groups that are done each would write all of them
+            directory.replace_metrics(known_rows)
+        done_before = len(training.rows)
         settings = job.group.settings
         done = training.epoch * settings.cycles_per_epoch + training.cycle
         progress.skip(done + Fraction(training.part, job.parts.total))
@@ -90,6 +96,7 @@ def run_jobs(
             return None
         progress.skip((settings.epochs - training.epoch) * settings.cycles_per_epoch)
         tracking.end()
+        written = known_rows + training.rows[done_before:]
         rows += training.rows
         last += training.rows[-len(job.group.runs) :]
     return last
@@ -202,37 +209,27 @@ def _former_rows(group: Group, former: Mapping[str, Sequence[Row]]) -> list[Row]
     return sorted(_renamed(rows, group), key=lambda row: row["epoch"])
 
 
-def _keep_lost_metrics(
-    group: Group,
-    index: int,
-    directory: RunDirectory,
-    former: Mapping[str, Sequence[Row]],
-    *,
-    has_foreign_lines: bool,
-) -> bool:
+def _keep_lost_metrics(index: int, directory: RunDirectory, *, lost: bool) -> bool:
     """Say that a group begins anew, if it had begun before, and keep metrics lost by that.
 
     Args:
-        group: the runs.
-        index: its number.
+        index: of the group.
         directory: what an earlier process has written, if there was one.
-        former: what can be read of its rows, by run.
-        has_foreign_lines: whether its metrics also have lines that are no rows of this sweep.
+        lost: whether its metrics have rows of the group, or lines that are no rows of this sweep.
 
     Returns:
-        Whether such lines are still in its metrics.
+        Whether metrics were set aside, so that the file is not there.
 
     Raises:
-        OSError: the metrics cannot be set aside.
+        OSError: they cannot be.
     """
-    kept = has_foreign_lines or bool(_former_rows(group, former))
-    if not kept and (index or directory.count_metrics() is None):
-        return has_foreign_lines
+    if not lost and (index or directory.count_metrics() is None):
+        return False
     note = f"no checkpoint of group {index}: it begins anew"
-    if kept:
+    if lost:
         note += f", and the metrics until now are kept as {directory.set_metrics_aside()}"
     print(note, file=sys.stderr)
-    return False
+    return lost
 
 
 def _train(

@@ -223,15 +223,15 @@ def _ending_with_this_process(command: Sequence[str]) -> list[str]:
 
 def _in_use(out: Path) -> bool:
     """Whether a process, on whichever machine, trains in a directory."""
-    if not out.is_dir():
-        return False
     try:
-        with locked(out):
-            return False
+        if out.is_dir():
+            with locked(out):
+                pass
     except InUseError:
         return True
     except OSError:  # the sweep itself will say what is wrong
-        return False
+        pass
+    return False
 
 
 @contextlib.contextmanager

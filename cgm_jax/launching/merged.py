@@ -5,8 +5,8 @@ from cgm_jax.machine.commands import shell_command
 from cgm_jax.storage.run_directory import RunDirectory
 
 
-def check_merged(directory: RunDirectory) -> None:
-    """Check that a launch's directory holds no sweep, or its parts, merged and with all epochs.
+def is_merged(directory: RunDirectory) -> bool:
+    """Whether a launch's directory holds its parts, merged and with all epochs, or no sweep yet.
 
     Earlier versions began a sweep wherever they were told to.
 
@@ -14,7 +14,7 @@ def check_merged(directory: RunDirectory) -> None:
         SettingError: it holds something else, or what it holds is damaged.
     """
     if not directory.holds_sweep():
-        return
+        return False
     path = directory.path
     if "parts" not in directory.config.read():
         raise SettingError(
@@ -27,3 +27,4 @@ def check_merged(directory: RunDirectory) -> None:
     if not read_sweep(path).finished:
         how = shell_command("cgm_jax.sweep", "--resume", path)
         raise SettingError(f"resume: {path} is merged, and trained for longer since; go on: {how}")
+    return True

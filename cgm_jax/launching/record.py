@@ -61,10 +61,11 @@ def position(out: Path) -> list[int]:
 
     Returns:
         Its group, epoch, cycle, and parts of the next cycle where that is cut; nothing if there is
-        no checkpoint.
+        no checkpoint, or none can be read just now.
     """
-    paths = (out / "checkpoints").glob("group*_epoch*_cycle*.json")
-    found = [MANIFEST.fullmatch(path.name) for path in paths]
+    found: list[re.Match[str] | None] = []
+    with contextlib.suppress(OSError):
+        found = [MANIFEST.fullmatch(path.name) for path in (out / "checkpoints").iterdir()]
     places = ([int(number) for number in match.groups("0")] for match in found if match)
     return max(places, default=[])
 

@@ -13,6 +13,7 @@ from cgm_jax.launching.attempts import POLL_SECONDS, Step, next_step, was_killed
 from cgm_jax.launching.directory import Launch
 from cgm_jax.launching.progress import JointProgress
 from cgm_jax.launching.record import append_event, fruitless_attempts, position
+from cgm_jax.storage.untrusted import printable
 
 MAX_DELAY = 60.0
 """Seconds before an attempt that follows others without progress, at most."""
@@ -208,7 +209,7 @@ def last_error(log: Path) -> str | None:
     except OSError:
         return None
     found = [line for line in lines if line.startswith("error: ")]
-    return "".join(x if x.isprintable() else "?" for x in found[-1][:500]) if found else None
+    return printable(found[-1][:500]) if found else None
 
 
 def _reason(code: int | None) -> str:

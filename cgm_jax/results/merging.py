@@ -52,8 +52,9 @@ def write_merged(
 ) -> list[Row]:
     """Put parts together in a directory that holds no sweep yet; return all rows.
 
-    The config is written last: without it a directory holds no sweep, whatever else is there. It
-    names the command that asked for this.
+    The config is written last, and before it the manifests, from which it could come back: without
+    them a directory holds no sweep, whatever else is there. It names the command that asked for
+    this.
 
     Raises:
         OSError: it cannot be written.
@@ -68,17 +69,21 @@ def write_merged(
         _copy(parts[0].path / START, out / START)
     config = _merged_config(parts, command)
     data = (json.dumps(config, indent=2) + "\n").encode()
-    pieces = [piece for part in parts for piece in part.pieces]
-    for index, piece in enumerate(pieces):
-        name = re.sub(r"^group[0-9]+", f"group{index}", piece.checkpoint.name)
-        _link(piece.checkpoint, out / "checkpoints" / name)
-        manifest = json.loads(manifest_path(piece.checkpoint).read_bytes())
-        write_manifest(out / "checkpoints" / name, manifest["sha256"], manifest["bytes"], data)
     for part in parts:
         for name in policies_of(part):
             _copy(part.path / "policies" / name, out / "policies" / name)
+    pieces = [piece for part in parts for piece in part.pieces]
+    checkpoints = [
+        out / "checkpoints" / re.sub(r"^group[0-9]+", f"group{index}", piece.checkpoint.name)
+        for index, piece in enumerate(pieces)
+    ]
+    for checkpoint, piece in zip(checkpoints, pieces, strict=True):
+        _link(piece.checkpoint, checkpoint)
     rows = [row for piece in pieces for row in piece.rows]
     directory.replace_metrics(rows)
+    for checkpoint, piece in zip(checkpoints, pieces, strict=True):
+        manifest = json.loads(manifest_path(piece.checkpoint).read_bytes())
+        write_manifest(checkpoint, manifest["sha256"], manifest["bytes"], data)
     directory.config.replace(config)
     if any(RunDirectory(part.path).has_csv() for part in parts):
         directory.write_csv()

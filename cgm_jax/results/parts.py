@@ -18,6 +18,7 @@ from cgm_jax.results.statistics import have_finished
 from cgm_jax.storage.arrays import open_arrays
 from cgm_jax.storage.checkpoints import damage, finished_checkpoints, format_of, position_of
 from cgm_jax.storage.config_file import renamed, start_beside
+from cgm_jax.storage.files import ABSENT, reading
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.metrics import Row, check_rows, from_lines
 from cgm_jax.storage.run_directory import RunDirectory
@@ -56,6 +57,7 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
 
     Raises:
         SettingError: what lies there are not all parts of one sweep, each once and finished.
+        ReadError: a file of theirs cannot be read just now.
     """
     opened = [(path, RunDirectory.open(path)) for path in paths]
     shards: dict[Path, Shard] = {}
@@ -75,7 +77,10 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
             raise SettingError(f"part {shard.part} is given twice: {[*same, path][0]} and {path}")
         shards[path] = shard
     _check_complete(list(shards.values()))
-    parts = [_read_part(path, directory, shards[path]) for path, directory in opened]
+    parts = []
+    for path, directory in opened:
+        with reading(path):
+            parts.append(_read_part(path, directory, shards[path]))
     _check_same_start(parts)
     parts = sorted(parts, key=lambda part: part.shard.part)
     names = same_names([part.config for part in parts])
@@ -132,7 +137,7 @@ def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
         ]
         start = start_beside(path / CONFIG)
         digest = None if start is None else _digest(start)
-    except (*UNREADABLE, OSError) as error:
+    except (*ABSENT, *UNREADABLE) as error:
         if isinstance(error, SettingError):
             raise
         text = str(error).partition("\n")[0]
@@ -163,7 +168,7 @@ def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece
         with open_arrays(last) as arrays:
             epoch, cycle = (int(number) for number in arrays["position"])
             rows = from_lines(bytes(arrays["rows"]).decode().splitlines())
-    except (OSError, *UNREADABLE) as error:
+    except (*ABSENT, *UNREADABLE) as error:
         raise SettingError(f"{last} is no checkpoint: {error}") from None
     names = [run["name"] for run in runs]
     try:

@@ -18,7 +18,7 @@ from cgm_jax.envs.fetch import FetchEnvironment
 from cgm_jax.envs.rendering import FRAMES_PER_SECOND, Renderer
 from cgm_jax.results.episodes import Recording
 from cgm_jax.results.plan import goal_mask
-from cgm_jax.storage.files import PARTIAL
+from cgm_jax.storage.files import remove_abandoned, replacing
 
 HELD_FRAMES = 12
 """The last frame of an episode is held for half a second, so that its outcome can be seen."""
@@ -93,14 +93,10 @@ def write_video(path: Path, frames: Iterable[np.ndarray]) -> None:
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    partial = path.with_name(f"{path.stem}{PARTIAL}{path.suffix}")  # encoders go by the suffix
     write = _write_gif if path.suffix == ".gif" else _write_mp4
-    try:
-        write(partial, frames)
-        partial.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+    remove_abandoned(path)
+    with replacing(path) as file:
+        write(Path(file.name), frames)
 
 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
@@ -108,7 +104,7 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray]) -> None:
     first = next(rest)
     height, width, _ = first.shape
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {FRAMES_PER_SECOND} -i -"
-    encoding = "-an -c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart"
+    encoding = "-an -c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart -f mp4"
     options = ["-y", "-loglevel", "error", *source.split(), *encoding.split(), str(path)]
     # Not by imageio_ffmpeg's own writer: it forks, which JAX's threads do not bear.
     with subprocess.Popen(
@@ -132,7 +128,14 @@ def _write_gif(path: Path, frames: Iterable[np.ndarray]) -> None:
     images = [Image.fromarray(frame) for frame in frames]
     palette = _palette(images)
     first, *rest = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    first.save(path, save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
+    first.save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=rest,
+        duration=1000 // FRAMES_PER_SECOND,
+        loop=0,
+    )
 
 
 def _palette(images: list[Image.Image]) -> Image.Image:

@@ -15,7 +15,7 @@ from typing import Any
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.storage.files import ABSENT, reading, replacing
-from cgm_jax.storage.untrusted import MAX_CONFIG_BYTES, UNREADABLE, read_json
+from cgm_jax.storage.untrusted import MAX_CONFIG_BYTES, UNREADABLE, from_json, read_json
 
 FORMAT = 4
 """Of checkpoints, in the manifest. Format 1 had no such entry; curriculum `uniform` had no state
@@ -174,7 +174,9 @@ def damage(path: Path) -> str | None:
 def restore_config(config: Path, checkpoints: Path) -> str | None:
     """Bring a lost or torn config.json back from a checkpoint that is whole.
 
-    A file that holds an object, whatever is in it, is left alone: somebody may have edited it.
+    Of several configs the one that knows of most resumptions, since a checkpoint has the config of
+    when its group was last trained. A file that holds an object, whatever is in it, is left alone:
+    somebody may have edited it.
 
     Args:
         config: the file.
@@ -190,9 +192,8 @@ def restore_config(config: Path, checkpoints: Path) -> str | None:
     """
     if _holds_object(config):
         return None
-    for path in reversed(finished_checkpoints(checkpoints)):
-        content = None if damage(path) else _carried_config(path)
-        if content is None:
+    for path, content in _carried_configs(checkpoints):
+        if damage(path):
             continue
         state = "was missing"
         if config.exists():
@@ -208,7 +209,7 @@ def restore_config(config: Path, checkpoints: Path) -> str | None:
 def holds_config(checkpoints: Path) -> bool:
     """Whether a lost config.json would be restored from one of these checkpoints."""
     with contextlib.suppress(OSError):
-        return any(_carried_config(path) for path in finished_checkpoints(checkpoints))
+        return bool(_carried_configs(checkpoints))
     return False
 
 
@@ -230,6 +231,28 @@ def _holds_object(path: Path) -> bool:
             return isinstance(read_json(path, MAX_CONFIG_BYTES), dict)
     except (*ABSENT, *UNREADABLE):
         return False
+
+
+def _carried_configs(checkpoints: Path) -> list[tuple[Path, bytes]]:
+    """Configs that may come back, each with its checkpoint, the latest first.
+
+    A merge writes its config beside the checkpoints of all groups, last of all: where one of these
+    is missing it was killed, and what is there is no sweep.
+
+    Raises:
+        ReadError: a checkpoint cannot be read just now, or as `finished_checkpoints`.
+    """
+    paths = finished_checkpoints(checkpoints)
+    groups = {path.name.partition("_")[0] for path in paths}
+    found: list[tuple[int, Path, bytes]] = []
+    for path in reversed(paths):
+        content = _carried_config(path)
+        with contextlib.suppress(*UNREADABLE):
+            config = from_json(content or b"")
+            if "parts" not in config or len(groups) >= len(config["groups"]):
+                found.append((len(config.get("resumed", ())), path, content or b""))
+    found.sort(key=lambda entry: entry[0], reverse=True)  # stable: else the last checkpoint's
+    return [(path, content) for _, path, content in found]
 
 
 def _carried_config(path: Path) -> bytes | None:

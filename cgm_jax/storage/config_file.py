@@ -12,6 +12,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, run_of, structure
 from cgm_jax.config.named import is_own
 from cgm_jax.config.run_names import MAX_NAME
+from cgm_jax.storage.files import DISK_FAULTS, ReadError
 from cgm_jax.storage.formats import upgraded
 from cgm_jax.storage.layout import START
 from cgm_jax.storage.untrusted import MAX_CONFIG_BYTES, UNREADABLE, read_json
@@ -66,10 +67,13 @@ def read_config(path: Path) -> Any:
 
     Raises:
         SettingError: it cannot be read, is no ordinary file or too large, or is no JSON.
+        ReadError: the disk does not hand it out just now.
     """
     try:
         return read_json(path, MAX_CONFIG_BYTES)
     except (OSError, *UNREADABLE) as error:
+        if isinstance(error, OSError) and error.errno in DISK_FAULTS:
+            raise ReadError(error.errno, error.strerror or str(error), str(path)) from None
         raise damaged(path, error) from None
 
 

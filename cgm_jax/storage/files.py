@@ -19,6 +19,10 @@ ABSENT = (FileNotFoundError, NotADirectoryError)
 """What reading a file raises that is not there."""
 
 
+DISK_FAULTS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ESTALE)
+"""What the system answers where a disk is full, read-only, broken or away."""
+
+
 class ReadError(OSError):
     """A file cannot be read just now, as on a network disk that is away; its bytes may be whole."""
 
@@ -33,7 +37,7 @@ def reading(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except ABSENT:
+    except (*ABSENT, ReadError):
         raise
     except OSError as error:
         raise ReadError(error.errno, error.strerror or str(error), str(path)) from None

@@ -25,6 +25,12 @@ ENTRIES: dict[str, Any] = {
 }
 """What a summary reads of a row, and of what types."""
 
+PRINTED = ("run", "failure")
+"""What a summary shows in a terminal, which texts can do things to."""
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""How a text begins that a spreadsheet takes for a formula."""
+
 
 def plain_row(values: Mapping[str, Any]) -> Row:
     """A row from any values: arrays become lists, a number that does not exist (0 / 0) None."""
@@ -60,8 +66,13 @@ def check_row(row: Row, entries: Mapping[str, Any] = ENTRIES) -> None:
         ValueError, KeyError: it is not such as a sweep writes.
     """
     for name, kinds in entries.items():
-        if not isinstance(row[name], kinds) or isinstance(row[name], bool):
-            raise ValueError(f"{name}: {row[name]!r:.40} in a row")
+        value = row[name]
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            raise ValueError(f"{name}: {value!r:.40} in a row")
+        missing = isinstance(value, float) and not math.isfinite(value)  # as good as null
+        unprintable = name in PRINTED and not str(value).isprintable()
+        if unprintable or (missing and not isinstance(None, kinds)):
+            raise ValueError(f"{name}: {value!r:.40} in a row")
     for name in ("swept", "reported"):
         words = row.get(name, [])
         if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
@@ -92,7 +103,8 @@ def to_csv(rows: Sequence[Row]) -> str:
     """Rows as a table for spreadsheets, R and the like; what is null is an empty cell.
 
     A list has a column per entry, such as `mask_probability_7`; one that is a swept setting (hidden
-    layers) is one word, such as 64x64. Lists of names (`swept`, `reported`) are one word as well.
+    layers) is one word, such as 64x64. Lists of names (`swept`, `reported`) are one word as well. A
+    text that a spreadsheet would take for a formula has an apostrophe before it.
     """
     tables = [dict(_cells(row)) for row in rows]
     columns = list(dict.fromkeys(name for cells in tables for name in cells))
@@ -108,7 +120,9 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 def _cells(row: Row) -> Iterator[tuple[str, Any]]:
     for name, value in row.items():
-        if not isinstance(value, list):
+        if isinstance(value, str):
+            yield name, f"'{value}" if value.startswith(FORMULA) else value
+        elif not isinstance(value, list):
             yield name, value
         elif name in row.get("swept", ()):
             yield name, spelled(value)

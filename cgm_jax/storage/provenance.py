@@ -12,6 +12,7 @@ from typing import Any
 from cgm_jax.config.named import files_of, folder_of
 from cgm_jax.config.user_code import digest_of
 from cgm_jax.machine.allotment import available_cores
+from cgm_jax.storage.untrusted import printable
 
 PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
 TITLES = {
@@ -151,5 +152,5 @@ def _machine() -> str:
 def _shown(value: Any) -> str:
     """A value from a config, which may come from anybody: one short line, fit for a terminal."""
     text = "none" if value is None else str(value)
-    text = "".join(letter if letter.isprintable() else "?" for letter in text) or "none"
+    text = printable(text) or "none"
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."

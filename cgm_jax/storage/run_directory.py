@@ -16,7 +16,6 @@ symbolic link; and code that its config names runs only if the user has named it
 """
 
 import contextlib
-import errno
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from cgm_jax.config.grid import Run
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import epochs_begun
 from cgm_jax.storage.config_file import damaged
-from cgm_jax.storage.files import reading, remove_partials, replacing
+from cgm_jax.storage.files import DISK_FAULTS, reading, remove_partials, replacing
 from cgm_jax.storage.layout import (
     CONFIG,
     LAUNCH,
@@ -43,9 +42,6 @@ from cgm_jax.storage.lock import locked
 from cgm_jax.storage.metrics import Row, check_row, to_csv, to_lines
 from cgm_jax.storage.sweep_config import SweepConfig
 from cgm_jax.storage.untrusted import UNREADABLE, from_json
-
-DISK_FAULTS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ESTALE)
-"""What the system answers where a disk is full, read-only, broken or away."""
 
 FOLDERS = ("policies", "policies/improvements", "figures", "checkpoints", "tracking")
 FILES = (CONFIG, START, METRICS, TABLE, LAUNCH)

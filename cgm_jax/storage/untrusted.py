@@ -1,4 +1,4 @@
-"""JSON that may come from anybody: how large and deep it may be, and what reading it raises."""
+"""What may come from anybody: JSON, how large and deep it may be; and text for a terminal."""
 
 import json
 import stat
@@ -17,6 +17,11 @@ MAX_CONFIG_BYTES = 2**28
 
 MAX_DEPTH = 100
 """Of lists and objects within each other; ours have less than ten."""
+
+
+def printable(text: str) -> str:
+    """A text from anybody as a terminal may be given it: whatever is no letter is "?"."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def read_json(path: Path, most_bytes: int) -> Any:

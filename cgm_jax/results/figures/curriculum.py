@@ -118,7 +118,8 @@ def _draw_array(panel: Axes, runs: Sequence[TrainedRun], key: str, names: Sequen
         say_empty(panel, f"{key}: no value while all runs trained")
         return
     (size,) = sizes
-    columns = [curves_of(rows, lambda row, i=i: _flat(row[key])[i]) for i in range(size)]
+    flat = [{**row, key: _flat(row[key])} for row in rows]
+    columns = [curves_of(flat, lambda row, i=i: row[key][i]) for i in range(size)]
     steps = columns[0][0]
     values = np.array([_mean(curves) for _, curves in columns])
     if not np.isfinite(values).any():

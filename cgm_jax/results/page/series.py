@@ -19,11 +19,15 @@ MAX_ROWS = 32
 
 
 def columns_of(run: TrainedRun) -> dict[str, list[float | None]]:
-    """By name, a number per epoch: where the epoch lies, and all that was measured in it."""
+    """By name, a number per epoch: where the epoch lies, and all that was measured in it.
+
+    Success is there even where it never was, which the page counts as none.
+    """
     swept = {name for row in run.rows for name in row.get("swept") or ()}
     names = _names(run.rows, is_finite)
     measures = [name for name in names if name not in NO_MEASURES | swept]
-    return {name: [_number(row.get(name)) for row in run.rows] for name in (*AXES, *measures)}
+    columns = dict.fromkeys((*AXES, "success_rate", *measures))
+    return {name: [_number(row.get(name)) for row in run.rows] for name in columns}
 
 
 def arrays_of(run: TrainedRun) -> dict[str, dict[str, Any]]:

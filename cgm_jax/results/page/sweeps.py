@@ -4,6 +4,7 @@ import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -47,7 +48,7 @@ class Sweep:
     told: Sequence[str] | None
     lacks_rows: bool
 
-    @property
+    @cached_property
     def planned(self) -> dict[str, Values]:
         """The settings of every run that it was to train, by the run's name."""
         return {run["name"]: run for group in self.config["groups"] for run in group["runs"]}

@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 from cgm_jax import sweep
+from cgm_jax.storage.metrics import Row
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.host.in_process import (
     ALWAYS,
     EPOCHS,
@@ -163,7 +165,8 @@ def test_rows_of_later_groups_stay_while_earlier_ones_are_trained_for_longer(
     meanwhile = rows(out)
     assert meanwhile[: len(before)] == before
     assert [(row["run"], row["epoch"]) for row in meanwhile[len(before) :]] == [(names[0], 5)]
-    assert sweep.main(longer) == 0
+    (out / "config.json").unlink()  # the last group's checkpoint has that of four epochs
+    assert sweep.main(["--resume", str(out)]) == 0
     assert [(row["run"], row["epoch"]) for row in rows(out)] == [
         (name, epoch) for name in names for epoch in range(1, 7)
     ]
@@ -194,3 +197,19 @@ def test_a_damaged_config_comes_back_from_a_checkpoint(
     assert "restored from " in text
     assert config.read_bytes() == content
     assert_same_results(whole, out)
+
+
+def test_resuming_what_is_done_writes_its_rows_once_however_many_groups_there_are(
+    names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert train(tmp_path, *ONE_BY_ONE) == 0
+    before, replace_metrics, calls = rows(tmp_path), RunDirectory.replace_metrics, []
+
+    def counted(self: RunDirectory, rows: list[Row]) -> None:
+        calls.append(len(rows))
+        replace_metrics(self, rows)
+
+    monkeypatch.setattr(RunDirectory, "replace_metrics", counted)
+    assert sweep.main(["--resume", str(tmp_path)]) == 0
+    assert calls == [EPOCHS * RUNS]
+    assert rows(tmp_path) == before

@@ -1,5 +1,7 @@
 """Sweeps in the directory of a launch: its own, merged, and those that have no business there."""
 
+import errno
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,9 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.host import to_train
 from cgm_jax.launching.directory import Launch, Resources
+from cgm_jax.storage.checkpoints import write_manifest
 from cgm_jax.storage.run_directory import RunDirectory
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.results.figures import made
 
 EPOCHS = 2
@@ -80,3 +84,46 @@ def test_merged_parts_are_concluded_once_all_of_their_runs_are_at_their_end(
     line = r"^resume: .* is merged, and trained for longer since; go on: .*sweep --resume .*/out$"
     with pytest.raises(SettingError, match=line):
         program.main(["--resume", "out"])
+
+
+def test_a_merged_launch_whose_config_is_lost_gets_it_back_and_is_not_merged_again(
+    launched: Launch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hold_sweep(launched, EPOCHS, parts=[{}, {}])
+    config = launched.path / "config.json"
+    longer = json.loads(config.read_text())
+    for run in longer["groups"][0]["runs"]:
+        run["epochs"] = EPOCHS + 1
+    checkpoint = launched.path / "checkpoints/group0_epoch000003_cycle000000.npz"
+    checkpoint.touch()
+    content = json.dumps(longer).encode()
+    write_manifest(checkpoint, hashlib.sha256(b"").hexdigest(), 0, content)
+    config.unlink()
+    with pytest.raises(SettingError, match="is merged, and trained for longer since"):
+        program.main(["--resume", "out"])
+    assert f"{config} was missing; restored from {checkpoint}" in capsys.readouterr().err
+    assert (config.read_bytes(), checkpoint.exists()) == (content, True)
+
+
+@pytest.mark.parametrize("stage", ["supervise", "read_parts", "write_merged"])
+def test_what_the_system_refuses_while_a_launch_runs_ends_with_74_and_the_way_to_resume(
+    stage: str,
+    launched: Launch,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(program, "supervise", lambda *_: {1: 0, 2: 0})
+    monkeypatch.setattr(program, "read_parts", lambda _: [])
+    monkeypatch.setattr(program, "differences", lambda _: [])
+    monkeypatch.setattr(program, stage, refusing(errno.ESTALE))
+    assert program.main(["--resume", "out"]) == 74
+    error, advice = capsys.readouterr().err.splitlines()[-2:]
+    assert error.endswith(": Stale file handle")
+    assert advice.endswith(f"cgm_jax.launch --resume {launched.path}")
+
+
+def test_the_way_to_resume_names_an_address_only_where_it_is_rays() -> None:
+    named = Resources(address="ray://there:1")
+    for on, ending in (("ray", "/out --address ray://there:1"), ("local", "/out")):
+        launch = Launch(Path("/out"), on, 2, "smoke", (), named)
+        assert program._how_to_resume(launch).endswith(ending)

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cgm_jax.results.page.videos import video_figures
 from cgm_jax.results.video import write_video
+from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.sweeps import ROOT
 
 COLOURS = np.array([[200, 30, 30], [30, 160, 30], [30, 30, 200]], np.uint8)
@@ -87,3 +89,20 @@ def test_a_video_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "taken.mp4").mkdir()
     with pytest.raises(OSError, match="Is a directory"):
         write_video(tmp_path / "taken.mp4", [np.zeros((48, 64, 3), np.uint8)] * 500)
+
+
+def test_a_video_that_a_killed_process_was_writing_is_not_shown_and_goes(tmp_path: Path) -> None:
+    seen = []
+
+    def frames() -> Iterator[np.ndarray]:
+        yield np.zeros((48, 64, 3), np.uint8)
+        seen.extend(path for path in (tmp_path / "figures").iterdir())
+        assert video_figures(tmp_path, "a") == ""
+
+    with RunDirectory.claimed(tmp_path, fresh=True):
+        write_video(tmp_path / "figures/best_policy.gif", frames())
+    (partial,) = seen
+    assert "best_policy.gif" in video_figures(tmp_path, "a")
+    partial.touch()
+    with RunDirectory.claimed(tmp_path, fresh=False):
+        assert not partial.exists()

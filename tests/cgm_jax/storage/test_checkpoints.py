@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -128,3 +129,30 @@ def test_a_config_that_is_damaged_beside_its_checkpoint_is_not_restored(tmp_path
     entry = json.loads(manifest_path(path).read_text())
     manifest_path(path).write_text(json.dumps(entry | {"config": '{"groups": [1]}'}))
     assert not holds_config(tmp_path)
+
+
+def finished(folder: Path, group: int, epoch: int, config: dict[str, Any]) -> Path:
+    path = folder / f"group{group}_epoch{epoch:06d}_cycle000000.npz"
+    path.touch()
+    write_manifest(path, hashlib.sha256(b"").hexdigest(), 0, json.dumps(config).encode())
+    return path
+
+
+def test_the_config_that_knows_of_most_resumptions_comes_back(tmp_path: Path) -> None:
+    extended = {"epochs": 6, "resumed": [{"changed": ["epochs"]}]}
+    latest = finished(tmp_path, 0, 5, extended)
+    finished(tmp_path, 1, 4, {"epochs": 4})  # which is done, and has yet to be trained for longer
+    line = restore_config(tmp_path / "config.json", tmp_path)
+    assert line is not None
+    assert line.endswith(f"restored from {latest}")
+    assert json.loads((tmp_path / "config.json").read_text()) == extended
+
+
+def test_a_merged_config_comes_back_only_where_all_groups_have_a_checkpoint(tmp_path: Path) -> None:
+    merged = {"parts": [{}, {}], "groups": [{}, {}]}
+    finished(tmp_path, 0, 2, merged)
+    assert restore_config(tmp_path / "config.json", tmp_path) is None
+    assert not holds_config(tmp_path)
+    finished(tmp_path, 1, 2, merged)
+    assert holds_config(tmp_path)
+    assert restore_config(tmp_path / "config.json", tmp_path) is not None

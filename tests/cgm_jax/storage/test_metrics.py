@@ -108,6 +108,9 @@ def test_rows_are_those_of_each_run_and_epoch_in_order() -> None:
         ("epoch", 1.0),
         ("success_rate", "1"),
         ("physics_warnings", None),
+        ("physics_warnings", float("nan")),
+        ("run", "a\x1b[31m"),
+        ("failure", "\x1b]52;c;aGk=\x07"),
         ("failure", 3),
         ("failed_epoch", "x"),
         ("swept", "seed"),
@@ -181,3 +184,13 @@ def test_the_readmes_lines_of_pandas_read_metrics(
         ["0.4", "4.0", "0.15", "0.2"],
         ["full", "NaN", "NaN", "0.25", "0.3"],
     ]
+
+
+def test_no_text_in_a_table_is_a_formula() -> None:
+    texts = ("=HYPERLINK(1)", "+1", "-1", "@a", "a=1")
+    cells = [
+        row["failure"]
+        for row in csv.DictReader(io.StringIO(to_csv([{"failure": text} for text in texts])))
+    ]
+    assert cells == ["'=HYPERLINK(1)", "'+1", "'-1", "'@a", "a=1"]
+    assert to_csv([{"value": -1.5}]) == "value\n-1.5\n"

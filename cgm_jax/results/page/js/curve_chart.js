@@ -96,7 +96,7 @@ function curveMarks(curve, scaled, count) {
 /** From zero, or from below it, to the largest value; never an empty range. */
 function extentOf(points) {
   const values = points.map((point) => point.y).filter(isKnown);
-  const low = Math.min(0, ...values), high = Math.max(0, ...values);
+  const [low, high] = d3.extent([0, ...values]);  // of more than a function takes arguments
   return low === high ? [0, 1] : [low, high];
 }
 

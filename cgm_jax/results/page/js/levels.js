@@ -7,7 +7,7 @@ function arrival(group) {
   const column = choices.x;
   const runs = runsOf(group);
   const times = runs.map((run) => {
-    const i = firstToHold(run.columns.success_rate ?? [], choices.level / 100);
+    const i = firstToHold(run.columns.success_rate, choices.level / 100);
     return i < 0 ? Infinity : run.columns[column][i] ?? Infinity;
   });
   const [low, middle, high] = quartiles(times);

@@ -1,3 +1,4 @@
+import importlib
 from typing import Any
 
 import numpy as np
@@ -131,3 +132,11 @@ def test_an_array_without_any_value_says_so() -> None:
 def test_curricula_that_report_nothing_have_no_figure() -> None:
     with pytest.raises(NothingToDraw, match="its curricula report nothing"):
         curriculum(run([0.5], curriculum="full"))
+
+
+def test_an_array_is_flattened_once_for_each_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    module, calls = importlib.import_module("cgm_jax.results.figures.curriculum"), []
+    flat = module._flat
+    monkeypatch.setattr(module, "_flat", lambda value: calls.append(1) or flat(value))
+    panels(curriculum(run([0.5] * 3, **reporting(gain=[[0.5] * 8] * 4))))
+    assert len(calls) == 3

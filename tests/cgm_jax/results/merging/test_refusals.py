@@ -1,5 +1,6 @@
 """What is not all parts of one sweep, whole and undamaged, is not merged."""
 
+import errno
 import hashlib
 import io
 import re
@@ -12,19 +13,25 @@ import numpy as np
 import pytest
 
 from cgm_jax.config.grid import build_groups
+from cgm_jax.results import merging
+from cgm_jax.results import parts as parts_module
+from cgm_jax.storage import config_file
 from cgm_jax.storage.arrays import write_arrays
 from cgm_jax.storage.checkpoints import damage, finished_checkpoints, write_manifest
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.archives import spoil
+from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.results.merging.made_parts import (
     EPOCHS,
     OPTIONS,
     checkpoint,
     refused,
     row,
+    run,
     train,
     whole,
 )
+from tests.cgm_jax.sweeps import rows
 
 
 def test_parts_that_began_from_something_else_are_refused(tmp_path: Path) -> None:
@@ -171,3 +178,42 @@ def test_a_part_without_a_policy_is_refused_by_name(parts: list[Path], tmp_path:
     gone.unlink()
     line = refused(tmp_path, *parts, "--out", tmp_path / "out")
     assert line.startswith(f"{gone} is missing; resume it: ")
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [(parts_module, "damage"), (config_file, "read_json"), (parts_module, "_digest")],
+)
+def test_a_part_that_cannot_be_read_just_now_is_no_bad_input(
+    module: Any,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    part = train(tmp_path / "part", whole(), 1, 1, start=("there", 1))
+    monkeypatch.setattr(module, name, refusing(errno.ESTALE))
+    assert run(part, "--out", tmp_path / "out") == 74
+    line = capsys.readouterr().err
+    assert line.startswith(f"error: cannot read {part}")
+    assert line.endswith(": Stale file handle\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_merge_that_is_killed_leaves_no_sweep_however_far_it_came(
+    parts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = merging.write_manifest, []
+
+    def killed(*arguments: Any) -> None:
+        if len(written) == 3:  # of four
+            raise KeyboardInterrupt
+        written.append(write(*arguments))
+
+    monkeypatch.setattr(merging, "write_manifest", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run(*parts, "--out", tmp_path / "out")
+    making = RunDirectory(tmp_path / ".out.merging")
+    assert len(finished_checkpoints(making.path / "checkpoints")) == 3
+    assert making.config.restore() is None
+    assert len(rows(making.path)) == len(list((making.path / "policies").glob("*.npz"))) * EPOCHS

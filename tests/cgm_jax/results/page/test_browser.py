@@ -43,7 +43,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     one = directory(folder / "one/run", timed_run([0.0, 0.5, 1.0]), batch_size=16)
     other = directory(folder / "other/run", timed_run([0.0] * 9), batch_size=32)
     single = directory(folder / "single", timed_run([0.25]), epochs=5)
-    never = directory(folder / "never", timed_run([None, None]))
+    never = directory(folder / "never", timed_run([None, None], **masks(3)))
     begun = directory(folder / "begun", timed_run([0.0]))
     (begun / "metrics.jsonl").unlink()
     directories = {
@@ -283,3 +283,12 @@ def test_runs_that_nothing_tells_apart_are_named(browser: Any, tmp_path: Path) -
         views = view.locator("#levels-views")
         assert views.locator("svg").count() == 0
         assert "κ 32, two 3,000 (1 of 1)" in views.inner_text()
+
+
+def test_more_points_than_a_function_takes_arguments_have_a_range(
+    browser: Any, pages: dict[str, Path]
+) -> None:
+    with opened(browser, pages["single"]) as view:
+        extent = "extentOf(Array.from({ length: 200_000 }, (_, i) => ({ y: i - 5 })))"
+        assert view.evaluate(extent) == [-5, 199_994]
+        assert view.evaluate("extentOf([])") == [0, 1]
