@@ -41,7 +41,7 @@ FIELDS = {
 """Settings of an environment, and what kind of number each is."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # by identity, as brax's are, which are hashed
 class FetchEnvironment(Env):
     """One Fetch task on one physics engine; a brax environment and a `GoalEnvironment`.
 
@@ -158,7 +158,9 @@ class FetchEnvironment(Env):
         physics_state: PhysicsState = state.pipeline_state  # pyright: ignore[reportAssignmentType]
         gripper = self._gripper(physics_state)
         target = control_target(action, gripper, pose_lag=self.task.pose_lag)
-        return self._state(self.physics.advance(physics_state, target), state.obs["desired_goal"])
+        advanced = self.physics.advance(physics_state, target)
+        # What wrappers of brax keep in `info` goes along.
+        return self._state(advanced, state.obs["desired_goal"]).replace(info=state.info)  # pyright: ignore
 
     def sample_object(self, key: jax.Array) -> jax.Array:
         """A position [2] uniform in the square around the grip, less the disc below the grip.

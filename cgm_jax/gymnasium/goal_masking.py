@@ -78,10 +78,11 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
             evaluating: always the full goal.
 
         Raises:
-            ValueError: an argument out of its range, no goal environment, or a goal of more than
-                512 dimensions.
+            ValueError: an argument out of its range, no goal environment, a goal of more than 512
+                dimensions, or an environment that resets itself, of which no mask would know.
         """
         gymnasium.Wrapper.__init__(self, env)
+        _check_not_reset(env)
         goals = goal_space(env.observation_space)
         self.observation_space = with_goal_space(env.observation_space, goals)  # pyright: ignore
         threshold = distance_threshold
@@ -179,3 +180,15 @@ class GoalMasking(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordC
             ValueError: another shape, or something else than 0 and 1.
         """
         self.sampler.record(subgoal_success)
+
+
+def _check_not_reset(env: gymnasium.Env[Any, Any]) -> None:
+    """Check that no wrapper below resets the environment by itself.
+
+    Raises:
+        ValueError: one does.
+    """
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, gymnasium.wrappers.Autoreset):
+            raise ValueError("env: Autoreset draws no masks; put it around GoalMasking instead")
+        env = env.env

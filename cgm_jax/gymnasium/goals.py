@@ -117,6 +117,20 @@ def goal_space(space: spaces.Space[Any]) -> spaces.Box:
             f"observation_space: achieved_goal has shape {achieved.shape}, "
             f"desired_goal {desired.shape}"
         )
+    return _spanned(achieved, desired)
+
+
+def batched_goal_space(space: spaces.Dict) -> spaces.Box:
+    """The space of masked goals [E, n] under that of a batch of environments.
+
+    Rows may have bounds of their own; the goals of one row are a `goal_space`.
+    """
+    achieved, desired = (space.spaces[f"{kind}_goal"] for kind in ("achieved", "desired"))
+    return _spanned(achieved, desired)  # pyright: ignore[reportArgumentType]
+
+
+def _spanned(achieved: spaces.Box, desired: spaces.Box) -> spaces.Box:
+    """The space of what lies between the bounds of either."""
     dtype = np.result_type(achieved.dtype, desired.dtype)
     return spaces.Box(
         np.minimum(achieved.low, desired.low).astype(dtype),

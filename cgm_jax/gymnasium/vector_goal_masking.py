@@ -6,13 +6,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
 from cgm_jax.gymnasium.goals import (
     Distance,
     Observation,
     apply_mask,
+    batched_goal_space,
     check_masks,
     goal_space,
     make_rule,
@@ -76,7 +76,7 @@ class VectorGoalMasking(
         self.single_observation_space = with_goal_space(env.single_observation_space, goals)  # pyright: ignore
         self.observation_space = with_goal_space(
             env.observation_space,  # pyright: ignore[reportArgumentType]
-            batch_space(goals, env.num_envs),
+            batched_goal_space(env.observation_space),  # pyright: ignore[reportArgumentType]
         )
         if distance_threshold is None:
             distance_threshold = _own_threshold(env)

@@ -8,7 +8,7 @@ import sys
 import threading
 import weakref
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -49,14 +49,17 @@ class HostedProcess:
                 [self._python, str(WORKER)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C is for this process
                 env={**os.environ, "JAX_PLATFORMS": "cpu"},
             )
         except OSError as error:
             raise ValueError(f"env: {INTERPRETER}={python}: {error.strerror}") from None
         _running.add(self._process)
+        threading.Thread(target=_pass_on, args=[self._process.stderr], daemon=True).start()
         weakref.finalize(self, _end, self._process).atexit = False  # all end side by side there
-        path = None if python else sys.path
+        # Python passes over what is no text, such as a Path.
+        path = None if python else [folder for folder in sys.path if isinstance(folder, str)]
         values = {"id": env_id, "module": module, "name": name, "trust": trust}
         self.facts = self._ask("begin", [], path=path, **values)[0]
 
@@ -96,6 +99,18 @@ class HostedProcess:
             text = message["text"]
             raise ValueError(text if text.startswith("env: ") else f"env: {self.name}: {text}")
         return message, answer
+
+
+def _pass_on(printed: BinaryIO) -> None:
+    """Pass on what an environment prints, until its process has ended.
+
+    Read by us, it neither fails nor waits where nobody reads what we print. Written without
+    Python's streams, whose locks a thread must not hold when the process ends.
+    """
+    with printed:
+        while data := printed.read1(2**16):  # pyright: ignore
+            with contextlib.suppress(OSError):
+                os.write(2, data)
 
 
 def other_interpreter() -> str | None:

@@ -3,6 +3,8 @@
 An episode of k rows is a *batch*, with a ticket that every row of it carries. Where rows come whose
 batch is not as far as they are, because a reset was drawn for its goals alone or the same start
 serves several policies, it begins again from their seeds; that is possible before the first step.
+So of as many rows as were never stepped a reset makes no batch: a curriculum may draw a thousand
+goals, each of which would keep a simulator.
 """
 
 import contextlib
@@ -20,6 +22,13 @@ from .rule import Rule
 
 MAX_UNUSED = 4
 """Batches of one size that were reset but not stepped; older ones are given up."""
+
+
+LOOKED_AT = 16
+"""Rows of the vector environment that shows what so many seeds begin with."""
+
+NO_TICKET = 0
+"""Of rows that are in no batch."""
 
 
 class Batch:
@@ -70,6 +79,7 @@ class Rows:
         """
         self._id = env_id
         self._batches: dict[int, Batch] = {}
+        self._stepped: set[int] = set()  # numbers of rows
         self._idle: list[VectorEnv] = []
         self._tickets = itertools.count(1)
         self._env = _made(env_id)
@@ -86,6 +96,26 @@ class Rows:
                 env.close()
 
     def reset(self, seeds: np.ndarray) -> tuple[int, Batch]:
+        """Begin an episode in each row, or look at what it would begin with; returns its ticket."""
+        if len(seeds) in self._stepped:
+            return self._begun(seeds)
+        size = min(len(seeds), LOOKED_AT)
+        pieces = [self._shown(seeds[i : i + size], size) for i in range(0, len(seeds), size)]
+        looked_at = pieces[0]
+        looked_at.seeds = seeds
+        for name in ENTRIES:
+            rows = np.concatenate([piece.observation[name] for piece in pieces])
+            looked_at.observation[name] = rows[: len(seeds)]
+        looked_at.terminated = looked_at.truncated = np.zeros(len(seeds), bool)
+        return NO_TICKET, looked_at
+
+    def _shown(self, seeds: np.ndarray, size: int) -> Batch:
+        """What `size` rows begin with, of which the first have these seeds; in no batch of ours."""
+        batch = self._batch(np.resize(seeds, size))
+        self._idle.append(batch.env)
+        return batch
+
+    def _begun(self, seeds: np.ndarray) -> tuple[int, Batch]:
         """Begin an episode in each row; returns its ticket."""
         unused = [
             ticket
@@ -94,13 +124,21 @@ class Rows:
         ]
         for ticket in unused[: -MAX_UNUSED + 1]:
             self._release(ticket)
+        ticket, batch = next(self._tickets), self._batch(seeds)
+        self._batches[ticket] = batch
+        return ticket, batch
+
+    def _batch(self, seeds: np.ndarray) -> Batch:
+        """Rows that were just reset, of an environment that was idle or is made."""
         fitting = [env for env in self._idle if env.num_envs == len(seeds)]
         if fitting:
             self._idle.remove(fitting[0])
-        ticket = next(self._tickets)
-        batch = Batch(fitting[0] if fitting else self._make(len(seeds)), seeds)
-        self._batches[ticket] = batch
-        return ticket, batch
+        env = fitting[0] if fitting else self._make(len(seeds))
+        try:
+            return Batch(env, seeds)
+        except BaseException:
+            self._idle.append(env)  # to be closed with the others
+            raise
 
     def step(
         self, tickets: np.ndarray, steps: np.ndarray, seeds: np.ndarray, actions: np.ndarray
@@ -123,7 +161,8 @@ class Rows:
         batch = self._batches.get(ticket)
         fits = batch is not None and np.array_equal(batch.seeds, seeds)
         if step == 0 and not (fits and batch is not None and batch.steps == 0):
-            ticket, batch = self.reset(seeds)
+            self._stepped.add(len(seeds))
+            ticket, batch = self._begun(seeds)
         elif batch is None or not fits or (tickets != ticket).any():
             raise TaskError(f"rows of {self._id} are from different episodes")
         else:
@@ -181,7 +220,7 @@ class Rows:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             env = gymnasium.make_vec(self._id, num_envs=count)
-            if env.metadata.get("autoreset_mode") == AutoresetMode.SAME_STEP:
+            if env.metadata.get("autoreset_mode") != AutoresetMode.NEXT_STEP:
                 env.close()
                 env = gymnasium.make_vec(self._id, num_envs=count, vectorization_mode="sync")
         return env

@@ -74,7 +74,9 @@ def _read_array(stream: BinaryIO, kind: str, shape: list[int]) -> "np.ndarray":
 def main() -> None:
     """Serve until the other side ends, then close what was made."""
     requests, replies = taken_pipes()
-    sys.path.pop(0)  # this folder, whose files are nobody's modules
+    here = Path(__file__).resolve().parent  # whose files are nobody's modules
+    if Path(sys.path[0]).resolve() == here:
+        del sys.path[0]
     rows = None
     try:
         while True:
@@ -128,7 +130,9 @@ def begin(message: dict[str, Any]) -> Any:
     except ImportError as error:
         raise ImportError(f"{sys.executable} needs numpy and gymnasium: {error}") from None
     from_here = message["path"] is not None
-    sys.path[:0] = [one for one in message["path"] or [""] if one not in sys.path]
+    safe = getattr(sys.flags, "safe_path", False)  # from Python 3.11 on
+    path = ([] if safe else [""]) if message["path"] is None else message["path"]
+    sys.path[:0] = [one for one in path if one not in sys.path]
     if message["module"] and from_here:
         from cgm_jax.config.named import import_gymnasium_module
 

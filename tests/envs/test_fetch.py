@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import scipy.stats
+from brax.envs.wrappers.training import EpisodeWrapper
 
 from cgm_jax import envs
 from cgm_jax.envs.fetch import FetchEnvironment
@@ -262,3 +263,14 @@ def test_a_start_of_another_shape_is_refused(env: FetchEnvironment) -> None:
         env.reset_to(jnp.zeros(3), jnp.zeros(3))
     with pytest.raises(ValueError, match="desired_goal: shape"):
         env.reset_to(jnp.zeros(2), jnp.zeros(2))
+
+
+def test_wrappers_of_brax_find_what_they_keep_in_a_state() -> None:
+    env = envs.make("reach", engine="native")
+    wrapped = EpisodeWrapper(env, 3, 1)
+    state = jax.jit(wrapped.reset)(jax.random.key(0))
+    step = jax.jit(wrapped.step)
+    for number in range(1, 4):
+        state = step(state, jnp.zeros(env.action_size))
+        assert (state.info["steps"], state.done) == (number, number == 3)
+    assert hash(env) != hash(envs.make("reach", engine="native"))

@@ -351,3 +351,14 @@ def test_no_jax_is_needed_to_import_wrap_and_step() -> None:
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert result.stdout == "[]\n", result.stderr
+
+
+def test_an_environment_that_resets_itself_is_wrapped_from_outside() -> None:
+    autoreset = gymnasium.wrappers.Autoreset
+    with pytest.raises(ValueError, match="put it around GoalMasking instead"):
+        GoalMasking(gymnasium.wrappers.TimeLimit(autoreset(NumpyPointMass()), 100))
+    env = autoreset(GoalMasking(NumpyPointMass(), kappa=0.0))
+    masks = {tuple(env.reset(seed=0)[1]["mask"])}
+    for _ in range(20 * (NumpyPointMass.episode_length + 1)):
+        masks.add(tuple(env.step(np.zeros(2))[4]["mask"]))
+    assert len(masks) == 4

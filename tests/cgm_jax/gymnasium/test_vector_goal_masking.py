@@ -218,3 +218,31 @@ def test_resets_within_a_step_are_left_to_single_wrappers() -> None:
 def test_a_step_needs_a_reset() -> None:
     with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
         vector().step(np.zeros((3, 2)))
+
+
+class Wide(NumpyPointMass):
+    """Has goals far away."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        far = {name: spaces.Box(-50.0, 50.0, (2,), np.float64) for name in GOALS}
+        inner: Any = self.observation_space
+        self.observation_space = spaces.Dict({**inner.spaces, **far})
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        super().reset(**options)
+        self._goal = 40.0 * self._goal
+        return self._observation(), {}
+
+
+GOALS = ("achieved_goal", "desired_goal")
+
+
+def test_rows_whose_goals_have_bounds_of_their_own_are_in_the_space() -> None:
+    inner = SyncVectorEnv([NumpyPointMass, Wide], observation_mode="different")
+    env = VectorGoalMasking(inner, evaluating=True)
+    observation, _ = env.reset(seed=0)
+    assert np.abs(observation["desired_goal"][1]).max() > 6.0
+    assert observation in env.observation_space
+    low = env.observation_space["desired_goal"].low  # pyright: ignore
+    np.testing.assert_array_equal(low, [[-6.0, -6.0], [-50.0, -50.0]])

@@ -14,7 +14,7 @@ from cgm_jax.envs.hosted.rows import Rows, TaskError
 from cgm_jax.envs.hosted.task import HostedTask
 from cgm_jax.envs.hosted.worker import serve
 from cgm_jax.loop.rollout import drawn_goals, reset, roll_out
-from tests.envs.hosted import variants  # noqa: F401 -- registers them
+from tests.envs.hosted import variants
 from tests.examples.numpy_point_mass import NumpyPointMass
 
 POINT_MASS = "NumpyPointMass-v0"
@@ -99,9 +99,10 @@ def test_rows_that_serve_several_policies_begin_again_from_their_seeds(point_mas
 
 def test_a_state_that_has_passed_cannot_be_stepped_again(point_mass: Rows) -> None:
     ticket, _ = point_mass.reset(SEEDS)
-    actions, tickets = np.zeros((3, 2), np.float32), np.full(3, ticket)
+    actions = np.zeros((3, 2), np.float32)
     for step in range(2):
-        point_mass.step(tickets, np.full(3, step), SEEDS, actions)
+        ticket, _ = point_mass.step(np.full(3, ticket), np.full(3, step), SEEDS, actions)
+    tickets = np.full(3, ticket)
     with pytest.raises(TaskError, match="cannot go back"):
         point_mass.step(tickets, np.full(3, 1), SEEDS, actions)
     with pytest.raises(TaskError, match="from different episodes"):
@@ -112,10 +113,48 @@ def test_a_state_that_has_passed_cannot_be_stepped_again(point_mass: Rows) -> No
 
 
 def test_resets_that_are_never_stepped_do_not_pile_up(point_mass: Rows) -> None:
+    point_mass.step(np.zeros(3), np.zeros(3, int), SEEDS, np.zeros((3, 2)))  # three at a time are
     ticket = [point_mass.reset(SEEDS + number)[0] for number in range(20)][-1]
     tickets = np.full(3, ticket)
     assert point_mass.step(tickets, np.zeros(3, int), SEEDS + 19, np.zeros((3, 2)))[0] == ticket
     assert len([one for one in point_mass._batches.values() if len(one.seeds) == 3]) < 8
+
+
+def test_a_thousand_goals_that_are_drawn_take_no_thousand_simulators() -> None:
+    rows = Rows("tests/Counted-v0")
+    seeds, actions = np.arange(1000, dtype=np.uint32), np.zeros((3, 2), np.float32)
+    for cycle in range(4):
+        ticket, _ = rows.reset(SEEDS)
+        for step in range(25):
+            ticket, _ = rows.step(np.full(3, ticket), np.full(3, step), SEEDS, actions)
+        rows.reset(seeds + 1000 * cycle)
+    assert variants.Counted.made < 30
+    _, batch = rows.reset(seeds)
+    expected = [alone(seed, np.zeros((0, 2)))[0] for seed in seeds[[0, 15, 16, 999]]]
+    np.testing.assert_array_equal(batch.observation["observation"][[0, 15, 16, 999]], expected)
+    assert len(batch.terminated) == len(batch.seeds) == 1000
+
+
+def test_environments_whose_reset_fails_are_closed_as_well() -> None:
+    rows = Rows("tests/BreakingReset-v0")
+    made, closed = variants.Counted.made, variants.Counted.closed
+    with pytest.raises(RuntimeError, match="jammed"):
+        rows.reset(np.array([1, 666], np.uint32))
+    assert variants.Counted.made == made + 2
+    rows.close()
+    assert variants.Counted.closed == closed + 3
+
+
+@pytest.mark.parametrize("mode", ["Disabled", "Same_Step", ""])
+def test_vector_environments_that_reset_rows_in_another_way_are_not_stepped(mode: str) -> None:
+    rows = Rows(f"tests/Resetting{mode}-v0")
+    ticket, batch = rows.reset(SEEDS)
+    goals = batch.observation["desired_goal"].copy()
+    for step in range(25):
+        actions = np.zeros((3, 2), np.float32)
+        ticket, batch = rows.step(np.full(3, ticket), np.full(3, step), SEEDS, actions)
+    assert batch.terminated.all()
+    np.testing.assert_array_equal(batch.observation["desired_goal"], goals)
 
 
 def test_a_reward_of_two_values_is_the_rule_of_success_and_its_reach_is_measured() -> None:

@@ -1,9 +1,11 @@
 """The process of a Gymnasium environment: how it is asked, and how it ends."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,8 @@ import pytest
 
 from cgm_jax.config.named import BY_PROGRAM
 from cgm_jax.envs.hosted import process as hosted
-from cgm_jax.envs.hosted.process import WORKER, HostedProcess
+from cgm_jax.envs.hosted.process import WORKER, HostedProcess, _end
+from tests.cgm_jax.sweeps import ROOT
 
 MODULE = "tests.envs.hosted.variants"
 SEEDS = np.array([3, 1, 4], np.uint32)
@@ -66,11 +69,13 @@ def test_at_its_end_all_is_closed_and_what_was_registered_for_the_exit_runs(
     monkeypatch.setenv("CLOSING_FILE", str(tmp_path / "lines"))
     process = started("tests/Closing-v0")
     process.ask("reset", SEEDS[:1])
+    nothing, action = np.zeros(1, np.uint32), np.zeros((1, 2), np.float32)
+    process.ask("step", nothing, nothing, SEEDS[:1], action)
     process.ask("reset", SEEDS[:1] + 1)
     popen = process._process
     del process  # the last reference
     assert popen.returncode == 0
-    # One that was looked at, and one for each batch.
+    # One that was looked at, and one for each batch, the first of which was looked at before.
     assert (tmp_path / "lines").read_text().split() == ["close"] * 3 + ["exit"] * 3
 
 
@@ -183,6 +188,65 @@ def test_it_ends_without_a_word_where_nobody_takes_its_answer(env_id: str) -> No
     worker.stdout = None
     _, errors = worker.communicate(request(env_id), timeout=60)
     assert (worker.returncode, errors) == (0, b"")
+
+
+SHOWING_FACTS = """
+from tests.envs.hosted.test_process import started
+process = started("tests/Printing-v0")
+process.ask("reset", __import__("numpy").zeros(2, "uint32"))
+print(process.facts["episode_length"])
+"""
+
+
+@pytest.mark.parametrize("reader", ["closed", "full"])
+def test_what_an_environment_prints_where_nobody_reads_it_ends_nothing(reader: str) -> None:
+    read, write = os.pipe()
+    if reader == "closed":
+        os.close(read)
+        errors = write
+    else:
+        os.close(read)
+        os.close(write)
+        errors = os.open("/dev/full", os.O_WRONLY)
+    command = [sys.executable, "-c", SHOWING_FACTS]
+    with os.fdopen(errors, "wb") as stderr:
+        result = subprocess.run(
+            command, stdout=subprocess.PIPE, stderr=stderr, timeout=120, check=False, cwd=ROOT
+        )
+    assert (result.returncode, result.stdout) == (0, b"25\n")
+
+
+def test_what_an_environment_prints_is_passed_on(capfd: pytest.CaptureFixture[str]) -> None:
+    process = started("tests/Printing-v0")
+    _end(process._process)
+    printed, deadline = "", time.monotonic() + 30.0
+    while len(printed) < 25 * 10_001 and time.monotonic() < deadline:  # an episode, to look at it
+        time.sleep(0.01)
+        printed += capfd.readouterr().err
+    assert {*printed.split()} == {"x" * 10_000}
+    assert printed.count("\n") >= 25
+
+
+def test_paths_among_the_folders_of_modules_are_passed_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path, Path("x")])
+    assert started("tests/Dense-v0").facts["episode_length"] == 25
+
+
+def test_another_interpreter_searches_the_folders_that_its_user_names(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("import tests.envs.hosted.variants\n")
+    variables = {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "PYTHONSAFEPATH": "1"}
+    values = {"path": None, "id": "tests/Dense-v0", "module": "mine", "name": "x", "trust": ""}
+    result = subprocess.run(
+        [sys.executable, WORKER],
+        input=json.dumps({"op": "begin", **values, "arrays": []}).encode() + b"\n",
+        stdout=subprocess.PIPE,
+        env={**os.environ, **variables},
+        timeout=60,
+        check=True,
+    )
+    assert json.loads(result.stdout.partition(b"\n")[0])["op"] == "facts"
 
 
 @pytest.mark.slow

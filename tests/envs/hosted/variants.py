@@ -11,6 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from tests.examples.numpy_point_mass import NumpyPointMass
 
@@ -269,6 +270,57 @@ class Reading(NumpyPointMass):
             pass
 
 
+class Counted(NumpyPointMass):
+    """Counts how many of it there are."""
+
+    made = closed = 0
+
+    def __init__(self) -> None:
+        super().__init__()
+        Counted.made += 1
+
+    def close(self) -> None:
+        Counted.closed += 1
+
+
+class BreakingReset(Counted):
+    """Fails where the seed is 666."""
+
+    def reset(self, *, seed: int | None = None, **options: Any) -> tuple[Any, dict[str, Any]]:
+        if seed == 666:
+            raise RuntimeError("the gripper is jammed")
+        return super().reset(seed=seed, **options)
+
+
+class Printing(NumpyPointMass):
+    """Prints more than a pipe holds."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        print("x" * 10_000, flush=True)
+        return super().step(action)
+
+
+def resetting_itself(num_envs: int, mode: AutoresetMode | None, **_: Any) -> SyncVectorEnv:
+    """Vector environments of other ways to reset; without a mode as before there were several."""
+    made = [lambda: EndingEarly(mode) for _ in range(num_envs)]
+    env = SyncVectorEnv(made, autoreset_mode=mode or AutoresetMode.SAME_STEP)
+    if mode is None:
+        env.metadata = {"render_modes": []}
+    return env
+
+
+class EndingEarly(NumpyPointMass):
+    """Terminates in its third step."""
+
+    def __init__(self, mode: AutoresetMode | None) -> None:
+        del mode
+        super().__init__()
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        shown, reward, _, truncated, info = super().step(action)
+        return shown, reward, self._steps == 3, truncated, info
+
+
 VARIANTS = [
     *(
         OneForSuccess,
@@ -285,9 +337,19 @@ VARIANTS = [
     ),
     *(ReadingInfo, TrueThreshold, InPlace, MovingGoal),
     *(OtherGoals, OtherShape, WholeActions, FarAway, CutShort, Drawn, DrawnLater, NotFinite),
-    *(Failing, Closing, Hanging, Stubborn, Reading),
+    *(Failing, Closing, Hanging, Stubborn, Reading, Counted, BreakingReset, Printing),
 ]
 for variant in VARIANTS:
     name = variant.__name__
     gymnasium.register(f"tests/{name}-v0", f"{__name__}:{name}", max_episode_steps=25)
 gymnasium.register("tests/Endless-v0", f"{NumpyPointMass.__module__}:NumpyPointMass")
+
+
+for mode in (AutoresetMode.DISABLED, AutoresetMode.SAME_STEP, None):
+    gymnasium.register(
+        f"tests/Resetting{mode.name.title() if mode else ''}-v0",
+        f"{__name__}:EndingEarly",
+        vector_entry_point=f"{__name__}:resetting_itself",
+        max_episode_steps=25,
+        kwargs={"mode": mode},
+    )
