@@ -77,6 +77,17 @@ def runs_on_record(sweep: str, planned: Settings) -> list[RecordedRun]:
     return recorded_runs(sweep)
 
 
+def check_unreplaced(sweep: str, planned: Settings, parser: argparse.ArgumentParser) -> None:
+    """End where a record holds a run that is not planned as it is, and so would be lost."""
+    runs = planned_settings(planned)
+    lost = [run.name for run in recorded_runs(sweep) if run.settings not in runs]
+    if lost:
+        parser.error(
+            f"{sweep}: {lost[0]} is on record with other settings than are planned; give the new "
+            "plan a name of its own, or --again to replace the record"
+        )
+
+
 def tables_of(runs: Runs) -> dict[str, list[Row]]:
     """The tables of a question, by the name of their file."""
     return {"speed.csv": learning_speed(runs), "paired.csv": comparisons(runs)}
@@ -161,6 +172,8 @@ def main() -> None:
         parser.error(f"--only: {unknown[0]!r} is no sweep of theirs; there are {', '.join(sweeps)}")
     sweeps = list(dict.fromkeys(options.only or sweeps))
     if not options.again:
+        for name in sweeps:
+            check_unreplaced(name, plans.sweeps[name], parser)
         there = [name for name in sweeps if is_on_record(name, plans.sweeps[name])]
         sweeps = [name for name in sweeps if name not in there]
         for name in [] if options.draw else there:

@@ -106,9 +106,9 @@ def record(trained: RunDirectory, sweep: str, planned: Sequence[Row]) -> None:
     settings, done = trained_settings(trained), done_runs(trained)
     if not same_runs([values for _, values in settings], planned):
         raise ValueError(f"{trained.path}: these are other runs than are planned for {sweep}")
-    missing = _in_order([values for name, values in settings if name not in done])
+    missing = [_however_long(values) for name, values in settings if name not in done]
     for run in recorded_runs(sweep) if done else ():
-        if _in_order([run.settings])[0] in missing:
+        if _however_long(run.settings) in missing:
             raise ValueError(
                 f"{trained.path}: {run.name} is on record and not done here; nothing was recorded"
             )
@@ -212,6 +212,11 @@ def settings_of(run: Run) -> Row:
 def same_runs(one: Sequence[Row], other: Sequence[Row]) -> bool:
     """Whether two sweeps hold the same runs, whatever their order and names."""
     return _in_order(one) == _in_order(other)
+
+
+def _however_long(settings: Mapping[str, Any]) -> Row:
+    """Settings less those that say for how long a run trains."""
+    return {name: value for name, value in settings.items() if name not in ("epochs", "leave_at")}
 
 
 def _in_order(settings: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -230,13 +230,17 @@ def latest(sweep: str, level: str) -> str:
     return f"{max(_finite_steps(runs, level)):,.0f}" if runs else NOT_YET
 
 
-def held_in(sweep: str, level: str, seed: str) -> str:
-    """Environment steps until a seed holds a success."""
-    runs = _runs(sweep)
+def held_in(sweep: str, level: str, seed: str, c_g: str = "", kappa: str = "") -> str:
+    """Environment steps until a seed holds a success; of a grid, at the point that is named."""
+    runs = _at(_recorded(sweep), float(c_g), float(kappa)) if c_g else _runs(sweep)
     if not runs:
         return NOT_YET
     (run,) = (run for run in runs if run.seed == int(seed))
     return f"{_finite_steps([run], level)[0]:,.0f}"
+
+
+def _at(runs: Sequence[RecordedRun], c_g: float, kappa: float) -> list[RecordedRun]:
+    return [run for run in runs if (run.setting.c_g, run.setting.kappa) == (c_g, kappa)]
 
 
 def _finite_steps(runs: Sequence[RecordedRun], level: str) -> list[float]:

@@ -28,10 +28,11 @@ SWEEPS = records.SWEEPS
 # Numbers that sentences may state without a record: they describe settings, levels and definitions,
 # or are printed in the paper.
 STATED = {
-    *("0", "1", "2", "4", "10", "20", "32", "40", "50", "60", "80", "90"),  # c_g, kappa, levels
+    *("0", "1", "2", "4", "10", "20", "30", "32", "40", "50", "60", "80", "90"),  # c_g, levels
     *("5", "8", "10", "16", "57", "64", "95", "100", "120"),  # sizes of a design
     *("1,000", "20,000", "25,600", "10,000", "2,000", "2,000,000"),  # epochs and budgets
-    *("51,200", "204,800", "3.6", "4.1", "35", "70", "110", "170"),  # the paper's epochs
+    *("51,200", "204,800", "3.6", "4.1", "35", "61"),  # the paper's steps, some in millions
+    *("70", "110", "170", "300"),  # the paper's epochs
     *("3.3", "1.4.2", "3.3.7"),  # versions
     *("300,000", "550,000", "55,000", "150,000"),  # of other programs
 }
@@ -245,6 +246,26 @@ def test_a_record_of_fewer_runs_than_are_planned_now_is_to_be_trained() -> None:
     planned = read_plans().sweeps["push_her"]
     assert run.is_on_record("push_her", planned)
     assert not run.is_on_record("push_her", {**planned, "seed": list(range(6))})
+
+
+def test_a_record_that_would_be_lost_goes_only_if_it_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plans = read_plans()
+    longer = {**plans.sweeps, "push_her": {**plans.sweeps["push_her"], "epochs": 30}}
+    monkeypatch.setattr(run, "read_plans", lambda: plans._replace(sweeps=longer))
+    asked_for: dict[str, list[str]] = {}
+    monkeypatch.setattr(run, "train", lambda sweeps, *_: asked_for.update(sweeps))
+    words = ["run", "push", "--train", "--runs", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as end:
+        run.main()
+    assert end.value.code == 2
+    assert "is on record with other settings than are planned" in capsys.readouterr().err
+    assert not asked_for
+    monkeypatch.setattr(sys, "argv", [*words, "--again"])
+    run.main()
+    assert list(asked_for) == ["push_her"]
 
 
 def test_a_record_of_other_runs_than_planned_is_refused() -> None:

@@ -180,6 +180,15 @@ def test_a_run_that_is_on_record_is_not_lost_to_a_directory_without_it(tmp_path:
         assert [run.rows[-1]["success_rate"] for run in records.recorded_runs(name)] == [1.0, 1.0]
 
 
+def test_a_run_that_is_now_planned_for_longer_is_not_lost_either(tmp_path: Path) -> None:
+    trained(tmp_path / "before", {}, [[0.5] * 5] * 2)
+    trained(tmp_path / "now", {"epochs": [6]}, [[1.0] * 6, [1.0] * 5])
+    record(tmp_path / "before", "mine")
+    with pytest.raises(ValueError, match="seed1 is on record and not done here"):
+        record(tmp_path / "now", "mine")
+    assert [len(run.rows) for run in records.recorded_runs("mine")] == [5, 5]
+
+
 def test_a_run_that_is_planned_no_more_may_go(tmp_path: Path) -> None:
     trained(tmp_path / "before", {}, [[0.5] * 5] * 2)
     trained(tmp_path / "now", {"discount": [0.9]}, [[1.0] * 5, []])
