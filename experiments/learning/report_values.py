@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
+from statistics import median
 
 from cgm_jax.results.statistics import first_to_hold
 from experiments.learning.plans import read_plans, runs_of
@@ -263,6 +264,12 @@ def seconds(sweep: str, level: str) -> str:
     return f"{min(walls):.0f} to {max(walls):.0f}"
 
 
+def pace(task: str) -> str:
+    """Seconds for a thousand environment steps of the preset `cpu`, start to finish; the median."""
+    rows = [row for row in read_table(SWEEPS.parent / "seconds/seconds.csv") if row["task"] == task]
+    return f"{median(1000 * float(row['held_s']) / int(row['env_steps']) for row in rows):.2g}"
+
+
 def probability_of_full_goal(sweep: str) -> str:
     """How often the full goal is drawn when all estimates are 100 %."""
     drawn = {
@@ -329,6 +336,7 @@ VALUES: dict[str, Callable[..., str]] = {
     "latest": latest,
     "held_in": held_in,
     "seconds": seconds,
+    "pace": pace,
     "probability_of_full_goal": probability_of_full_goal,
     "moved": moved,
     "commits_of": commits_of,

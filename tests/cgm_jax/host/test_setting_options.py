@@ -34,7 +34,8 @@ def shown(
         text = line.strip("│ ")
         if found := re.match(r"--([a-z-]+) ", text):
             option = found[1].replace("-", "_")
-            groups.setdefault(title, {})[option] = ""
+            # Where the metavar is short, the help begins on the same line.
+            groups.setdefault(title, {})[option] = re.sub(r"^\S+ \S+ *", "", text)
         elif title and option:
             entry = groups[title].get(option, "")
             groups[title][option] = f"{entry} {text}".strip()

@@ -181,3 +181,17 @@ def test_a_point_at_which_a_seed_ties_is_not_sooner(monkeypatch: pytest.MonkeyPa
     runs += [run(held(7), seed, "other", curriculum="full") for seed in (0, 1)]
     monkeypatch.setattr(report_values, "runs_of", lambda _: runs)
     assert report_values.points_sooner("grid", "push") == "one of three points"
+
+
+def test_the_pace_is_the_median_of_seconds_for_a_thousand_steps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_values, "SWEEPS", tmp_path / "sweeps")
+    rows = [("push", 100_000, 30.0), ("push", 200_000, 50.0), ("push", 100_000, 20.0)]
+    rows.append(("reach", 100_000, 90.0))
+    names = ("task", "env_steps", "held_s")
+    (tmp_path / "seconds").mkdir()
+    write_table(
+        tmp_path / "seconds" / "seconds.csv", [dict(zip(names, row, strict=True)) for row in rows]
+    )
+    assert (report_values.pace("push"), report_values.pace("reach")) == ("0.25", "0.9")
