@@ -49,6 +49,7 @@ def stop_after(parts: int, monkeypatch: pytest.MonkeyPatch, out: Path) -> list[t
     return begun
 
 
+@pytest.mark.slow
 def test_a_signal_in_the_middle_of_a_cycle_ends_with_all_of_it_that_is_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

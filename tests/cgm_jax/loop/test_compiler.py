@@ -125,6 +125,7 @@ def test_another_number_of_runs_has_programs_of_its_own() -> None:
         assert four.start(FOUR).env_steps.shape == (4,)
 
 
+@pytest.mark.slow
 def test_curricula_with_the_same_settings_have_programs_of_their_own() -> None:
     full, uniform = (stack([tiny(curriculum=name)]) for name in ("full", "uniform"))
     assert jax.tree.structure(full) != jax.tree.structure(uniform)

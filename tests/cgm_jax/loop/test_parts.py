@@ -167,6 +167,7 @@ def assert_close(one: Any, other: Any) -> None:
 
 
 @pytest.mark.usefixtures("cut_small")
+@pytest.mark.slow
 def test_bits_do_not_depend_on_where_a_cycle_was_stopped(tmp_path: Path) -> None:
     trainer = make_trainer(PointMass(), TINY)
     programs, hyper = make_programs(trainer), stack([tiny(seed=0), tiny(seed=1)])
