@@ -27,8 +27,8 @@ for task in cgm_jax.envs.TASKS:
 import gymnasium
 print(gymnasium.make("cgm_jax/FetchPush-v0").reset(seed=0)[0]["observation"].shape)
 print(cgm_jax.__file__, cgm_jax.__version__)
-from cgm_jax.results.page.page import FOLDER, LIBRARIES
-parts = ("page.html", "page.css", "js/page.js", "vendor/LICENSE-d3", "vendor/LICENSE-plot")
+from cgm_jax.results.page.page import FOLDER, LIBRARIES, LICENCES
+parts = ("page.html", "page.css", "js/page.js", *LICENCES)
 assert all((FOLDER / name).is_file() for name in (*parts, *LIBRARIES)), FOLDER
 """
 

@@ -4,6 +4,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cgm_jax.config.named import is_own
 from cgm_jax.results.figures.runs import TrainedRun
 
 MAX_CHARACTERS = 44
@@ -24,9 +25,9 @@ def setting_text(name: str, value: Any) -> str:
     if name == "curriculum":
         return {"cgm": "CGM", "full": "no CGM (full)"}.get(value) or _named(name, value)
     if name == "agent":
-        return _named(name, value) if ".py" in value else value.upper()
+        return _named(name, value) if is_own(value) else value.upper()
     if name == "env":
-        return _named(name, value) if ".py" in value else value.replace("_", "-")
+        return _named(name, value) if is_own(value) else value.replace("_", "-")
     return f"{name.replace('_', ' ')} {value_text(value)}"
 
 

@@ -31,6 +31,7 @@ from cgm_jax.results.figures.runs import (
     rows_while_all_ran,
     runs_of,
 )
+from cgm_jax.results.plan import AXES
 
 ALL_MASKS = 8
 """Where there are more masks, only those of one dimension and the full goal are drawn."""
@@ -83,10 +84,20 @@ def best_setting(runs: Sequence[TrainedRun]) -> list[TrainedRun]:
 
 
 def mask_label(mask: int, size: int) -> str:
-    """The kept dimensions of a mask, such as "x z" for 5 of 8."""
-    names = "xyz" if size == 3 else [str(i + 1) for i in range(size)]
+    """The kept dimensions of a mask, such as "x z" for 5 of 8; of other sizes by number, from 0."""
+    names = AXES if size == len(AXES) else [str(i) for i in range(size)]
     kept = [names[i] for i in range(size) if mask >> (size - 1 - i) & 1]
     return " ".join(kept) or "none"
+
+
+def shown_masks(size: int) -> list[int]:
+    """Of all masks of goals with `size` dimensions those to show.
+
+    All, or where these are many, those of one dimension and the full goal.
+    """
+    if 2**size <= ALL_MASKS:
+        return list(range(2**size))
+    return [*(1 << i for i in reversed(range(size))), 2**size - 1]
 
 
 def _draws_masks(run: TrainedRun) -> bool:
@@ -106,11 +117,9 @@ def _draw_masks(panel: Axes, runs: Sequence[TrainedRun], name: str) -> None:
         return
     masks = len(rows[0][name])
     size = masks.bit_length() - 1
-    title = "kept dimensions"
-    shown = list(range(masks))
-    if masks > ALL_MASKS:
-        shown = [*(1 << i for i in reversed(range(size))), masks - 1]
-        title = f"kept dimensions\n({len(shown)} of {masks:,} masks)"
+    shown, title = shown_masks(size), "kept dimensions"
+    if len(shown) < masks:
+        title += f"\n({len(shown)} of {masks:,} masks)"
     colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, len(shown)))
     for mask, colour in zip(shown, colours, strict=True):
         steps, curves = curves_of(rows, lambda row, mask=mask: row[name][mask])

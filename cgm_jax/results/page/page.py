@@ -16,6 +16,7 @@ from cgm_jax.storage.files import remove_abandoned, replacing
 
 FOLDER = Path(__file__).parent
 LIBRARIES = ("vendor/d3.min.js", "vendor/plot.umd.min.js")
+LICENCES = ("vendor/LICENSE-d3", "vendor/LICENSE-plot", "vendor/LICENSE-bundled")
 PROGRAMS = (
     *("statistics", "choices", "labels", "palette", "elements", "charts"),
     *("overview", "curve_chart", "curves", "level_charts", "levels"),
@@ -52,6 +53,7 @@ def page_text(sweeps: Sequence[Sweep], reload_seconds: float | None = None) -> s
     return Template(_read("page.html")).substitute(
         title=escape(", ".join(labels).encode(errors="replace").decode()),
         style=_read("page.css"),
+        licences="\n\n".join(map(_read, LICENCES)),
         libraries="\n".join(f"<script>{_read(name)}</script>" for name in LIBRARIES),
         program="\n".join(_read(f"js/{name}.js") for name in PROGRAMS),
         data=packed(data),

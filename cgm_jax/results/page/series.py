@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cgm_jax.results.figures.labels import naming_array
-from cgm_jax.results.figures.masks import ALL_MASKS, mask_label
+from cgm_jax.results.figures.masks import ALL_MASKS, mask_label, shown_masks
 from cgm_jax.results.figures.runs import ALWAYS, TrainedRun
 from cgm_jax.results.page.sweeps import is_finite
 from cgm_jax.storage.metrics import Row
@@ -54,12 +54,9 @@ def arrays_of(run: TrainedRun) -> dict[str, dict[str, Any]]:
 
 
 def shown_rows(name: str, size: int) -> list[int]:
-    """Which rows of an array are shown.
-
-    Of the 2^n values per mask, where these are many, those of one dimension and the full goal.
-    """
+    """Which rows of an array are shown: of one value per mask `shown_masks`, else some evenly."""
     if is_by_mask(name, size) and size > ALL_MASKS:
-        return [*(1 << i for i in reversed(range(size.bit_length() - 1))), size - 1]
+        return shown_masks(size.bit_length() - 1)
     return np.unique(np.linspace(0, size - 1, min(size, MAX_ROWS)).round().astype(int)).tolist()
 
 
@@ -69,7 +66,7 @@ def is_by_mask(name: str, size: int) -> bool:
 
 
 def _labels(name: str, size: int, shown: Sequence[int], row: Row) -> list[str]:
-    """What rows are called: masks by what they keep, goal dimensions by letter, else by number.
+    """What rows are called: masks by what they keep, goal dimensions alike, else by number from 0.
 
     An array `a_b` belongs to an array `a` of the same row, if there is one: its values name it.
     """
@@ -80,7 +77,7 @@ def _labels(name: str, size: int, shown: Sequence[int], row: Row) -> list[str]:
     naming = naming_array(name, size, row)
     if naming and all(map(is_finite, row[naming])):
         return [f"{row[naming][i]:.3g}" for i in shown]
-    return [str(i + 1) for i in shown]
+    return [str(i) for i in shown]
 
 
 def _names(rows: Sequence[Row], wanted: Any) -> list[str]:

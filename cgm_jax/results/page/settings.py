@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cgm_jax.config.named import is_own
 from cgm_jax.results.figures.layout import order
 from cgm_jax.results.figures.runs import NO_VALUE, TrainedRun, differing
 from cgm_jax.results.page.sweeps import Sweep, is_finite, labels_of
@@ -126,7 +127,7 @@ def _text(name: str, value: Any) -> str:
         return f"{100 * value:.10g} %" if is_share else f"{value:.10g}"
     if name == "curriculum":
         value = CURRICULA.get(value, value)
-    if name == "agent" and isinstance(value, str) and ".py" not in value:
+    if name == "agent" and isinstance(value, str) and not is_own(value):
         value = value.upper()
     if isinstance(value, str) and ".py:" in value:
         file, _, attribute = value.rpartition(":")

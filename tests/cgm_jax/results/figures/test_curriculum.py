@@ -65,7 +65,7 @@ def test_without_values_for_its_rows_an_array_counts_them() -> None:
 
 @pytest.mark.parametrize(
     ("size", "first", "last", "count"),
-    [(1, "none", "1", 2), (2, "none", "1 2", 4), (5, "none", "1 2 3 4 5", 16)],
+    [(1, "none", "0", 2), (2, "none", "0 1", 4), (5, "none", "0 1 2 3 4", 16)],
 )
 def test_rows_of_masks_are_named_by_what_they_keep(
     size: int, first: str, last: str, count: int

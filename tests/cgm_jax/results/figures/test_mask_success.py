@@ -27,10 +27,10 @@ def masked(size: int) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("size", "kept"),
     [
-        (1, ["none", "1"]),
-        (2, ["none", "2", "1", "1 2"]),
+        (1, ["none", "0"]),
+        (2, ["none", "1", "0", "0 1"]),
         (3, ["none", "z", "y", "y z", "x", "x z", "x y", "x y z"]),
-        (5, ["1", "2", "3", "4", "5", "1 2 3 4 5"]),
+        (5, ["0", "1", "2", "3", "4", "0 1 2 3 4"]),
     ],
 )
 def test_masks_of_goals_of_any_size_are_told_by_what_they_keep(size: int, kept: list[str]) -> None:
@@ -75,8 +75,8 @@ def test_lines_end_where_the_first_of_the_seeds_did() -> None:
     rows = [*run([0.5] * 3, 0, **masked(2)), *run([0.5] * 3, 1, **masked(2))]
     rows += run([0.1] * 10, 2, **masked(2))
     estimated, training = panels(mask_success(rows))
-    assert heights(estimated, "1 2") == [0.75] * 3
-    np.testing.assert_equal(heights(training, "1 2"), [0.75, np.nan, 0.75])
+    assert heights(estimated, "0 1") == [0.75] * 3
+    np.testing.assert_equal(heights(training, "0 1"), [0.75, np.nan, 0.75])
 
 
 def test_masks_that_were_never_drawn_have_no_line() -> None:
@@ -98,7 +98,7 @@ def test_without_masks_there_is_no_figure(training: list[float] | None) -> None:
 
 @pytest.mark.parametrize(
     ("mask", "size", "label"),
-    [(0, 3, "none"), (7, 3, "x y z"), (4, 3, "x"), (5, 3, "x z"), (1, 2, "2"), (9, 5, "2 5")],
+    [(0, 3, "none"), (7, 3, "x y z"), (4, 3, "x"), (5, 3, "x z"), (1, 2, "1"), (9, 5, "1 4")],
 )
 def test_mask_labels_name_the_kept_axes(mask: int, size: int, label: str) -> None:
     assert mask_label(mask, size) == label

@@ -98,9 +98,7 @@ def test_damaged_and_foreign_checkpoints_are_refused(parts: list[Path], tmp_path
     own = [row(whole()[0].runs[2], epoch) for epoch in (1, 2)]
     checkpoint(last.parent, 0, own, EPOCHS, b"{}")
     line = refused(tmp_path, *parts, "--out", tmp_path / "out")
-    assert line.endswith(
-        "holds rows of other runs: they are not one for each of its runs and epochs"
-    )
+    assert line.endswith("holds rows of other runs: there is not one row per run and epoch")
 
 
 @pytest.mark.parametrize(

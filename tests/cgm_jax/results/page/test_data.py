@@ -190,7 +190,7 @@ def test_what_has_misled_before(tmp_path: Path) -> None:
     assert gaps["columns"]["success_rate"] == [None, 0.5, None, None, 0.7, 0.7, None]
     assert "episodes" not in gaps["final"]  # episodes were dropped, and no row says how many
     five = runs["five_seed0"]["arrays"]
-    assert five["mask_rate_estimated"]["labels"] == ["1", "2", "3", "4", "5", "1 2 3 4 5"]
+    assert five["mask_rate_estimated"]["labels"] == ["0", "1", "2", "3", "4", "0 1 2 3 4"]
     assert five["mask_rate_estimated"]["total"] == 32
     whole = masks(4, size=5)["mask_rate_estimated"](10)
     shown = [column[-1] for column in five["mask_rate_estimated"]["values"]]

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from cgm_jax.results.page.data import page_data
-from cgm_jax.results.page.page import FOLDER, LIBRARIES, PROGRAMS, page_text, unpacked, write_page
+from cgm_jax.results.page.page import (
+    FOLDER,
+    LIBRARIES,
+    LICENCES,
+    PROGRAMS,
+    page_text,
+    unpacked,
+    write_page,
+)
 from cgm_jax.results.page.sweeps import read_sweep
 from cgm_jax.results.page.videos import MAX_BYTES
 from tests.cgm_jax.results.page.made import TROUBLE, directory, grid, masks, timed_run, troubled
@@ -102,5 +110,12 @@ def test_every_program_is_put_together_and_every_library_is_what_it_says() -> No
         digest = hashlib.sha256((FOLDER / name).read_bytes()).hexdigest()
         assert f"| {Path(name).name} |" in told
         assert digest in told
-    assert (FOLDER / "vendor/LICENSE-d3").is_file()
-    assert (FOLDER / "vendor/LICENSE-plot").is_file()
+
+
+def test_a_page_carries_the_licences_of_what_draws_it(tmp_path: Path) -> None:
+    page = page_text([read_sweep(directory(tmp_path / "run", timed_run([0.5], 0, ())))])
+    for name in LICENCES:
+        text = (FOLDER / name).read_text()
+        assert "Copyright" in text
+        assert text in page
+        assert "--" not in text  # which would end the comment that they stand in
