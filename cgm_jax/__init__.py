@@ -2,7 +2,7 @@
 
 Programs, one file a command: `python -m cgm_jax.sweep`, `.train` (a sweep of one), `.launch` (a
 sweep in parts) and `.merge`, `.evaluate`, `.export`, `.report`, `.benchmark`. Behind
-them, in rooms:
+them, in folders:
 
     config/      what is asked for: settings, presets, the grid of a sweep
     curricula/   what to practise: CGM of Eppe, Magg and Wermter (2019), and others

@@ -2,13 +2,13 @@
 
 With `--against COMMIT`: how much faster or slower it is than at another commit.
 
-Every figure is a ratio of two measurements, taken in turn, so that a slow or busy machine
-changes both. Nothing else should run meanwhile.
+It is the CPU that is measured, also where there is a GPU, but for `--part device` and `--against`.
+What has a target is a ratio of two measurements, taken in turn, so that a slow or busy machine
+changes both, or the seconds of a start; rates stand beside the ratios. Nothing else should run
+meanwhile.
 """
 
-import os
 import shlex
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -18,11 +18,14 @@ from rich.console import Console
 from rich.table import Table
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.command_line import parse, refuse, run_program
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.measuring.child import MeasurementError
 from cgm_jax.measuring.figures import Figure
 from cgm_jax.measuring.start import first_step, measure_starts
+from cgm_jax.measuring.workload import choose_cpu
+from cgm_jax.storage.provenance import cores
 
 DEFAULT_SWEEP = ("--preset", "cpu", "--env", "push")
 Text = Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")]
@@ -30,14 +33,14 @@ Text = Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")
 
 @dataclass(kw_only=True)
 class BenchmarkOptions:
-    """Measure rollouts, updates, sweeps and the start, as ratios."""
+    """Measure rollouts, updates and sweeps, as ratios, and the start, in seconds."""
 
     part: Literal["all", "first-step", "device"] = "all"
     """first-step: only start, take one training step, and exit. device: only print the device, the
     engine that is the default there, and its rate."""
 
     repeats: int = 5
-    """Measurements per figure; the median counts. With --against: pairs of processes."""
+    """Measurements per figure, of which the median counts. With --against: pairs of processes."""
 
     against: Text = None
     """Compare this checkout with another commit instead, by sweeps of both that run in turn."""
@@ -94,8 +97,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(device_line(options.repeats))
         return ExitCode.DONE
-    table = Table("measured", "value", "target", title=f"{os.cpu_count()} cores")
-    for figure in _measure(options.repeats):
+    choose_cpu()
+    try:
+        figures = _measure(options.repeats)
+    except MeasurementError as error:
+        refuse(str(error), ExitCode.FAILED)
+    table = Table("measured", "value", "target", title=cores())
+    for figure in figures:
         table.add_row(*figure.row())
     Console().print(table)
     return ExitCode.DONE
@@ -103,7 +111,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _compare(options: BenchmarkOptions, against: str) -> int:
     from cgm_jax.measuring.comparison import check_options, compare, parse_options
-    from cgm_jax.measuring.training_process import MeasurementError
 
     here = there = check_options("sweep", options.sweep or DEFAULT_SWEEP)
     if options.against_options is not None:
@@ -111,12 +118,11 @@ def _compare(options: BenchmarkOptions, against: str) -> int:
     try:
         sides, comparisons = compare(against, here, there, options.repeats, options.timed_epochs)
     except MeasurementError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return ExitCode.FAILED
+        refuse(str(error), ExitCode.FAILED)
     this, other = (side.checkout.commit for side in sides)
     table = Table(
         *("measured", this, other, "ratio", "95 % interval", "at most"),
-        title=f"{shlex.join(here)}, {os.cpu_count()} cores",
+        title=f"{shlex.join(here)}, {cores()}",
         caption="training: per run and 1,000 environment steps, evaluations included; "
         "start: with an empty compilation cache",
     )
@@ -128,18 +134,15 @@ def _compare(options: BenchmarkOptions, against: str) -> int:
 
 def _measure(repeats: int) -> list[Figure]:
     # Before anything else runs: a process of its own each.
-    starts = measure_starts()
-    prepare_jax()  # ahead of what imports JAX
+    starts = measure_starts(repeats)
     from cgm_jax.measuring.rollouts import measure_rollouts
     from cgm_jax.measuring.sweeps import measure_sweep
     from cgm_jax.measuring.updates import measure_updates
 
-    return [
-        *starts,
-        *measure_rollouts(repeats),
-        *measure_updates(repeats),
-        *measure_sweep(repeats),
-    ]
+    # A sweep comes first, since it has JAX make as many devices as there are cores.
+    sweep = measure_sweep(repeats)
+    prepare_jax()
+    return [*starts, *measure_rollouts(repeats), *measure_updates(repeats), *sweep]
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import piece
 from cgm_jax.host.command_line import bring_config_back, owns_process, parse, run_program
 from cgm_jax.host.conclusion import conclude
-from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.exit_codes import FINISHED, ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.session import RUNS, new_directory
 from cgm_jax.launching.check import check_sweep
@@ -138,7 +138,7 @@ def _run(
     if codes is None:
         print(f"stopped; {_how_to_resume(launch)}", file=sys.stderr)
         return ExitCode.STOPPED
-    failed = [part for part, code in codes.items() if code not in (0, ExitCode.DIVERGED)]
+    failed = [part for part, code in codes.items() if code not in FINISHED]
     if failed:
         which = ", ".join(str(part) for part in sorted(failed))
         print(f"not done: {len(failed)} of {launch.parts} parts ({which})", file=sys.stderr)

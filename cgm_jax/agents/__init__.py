@@ -1,4 +1,4 @@
-"""Who learns.
+"""Agents: who learns.
 
 protocol.py   what an agent offers to the loop
 ddpg.py       deep deterministic policy gradient: the paper's agent

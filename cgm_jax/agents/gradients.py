@@ -67,7 +67,8 @@ def return_limits(
 ) -> tuple[float | jax.Array, float | jax.Array]:
     """Least and greatest return: with rewards of -1 or 0 for ever -1 / (1 - gamma) and 0.
 
-    Of an episode that ends no return is beyond 0 or one that goes on for ever, whichever is.
+    With early ends a return lies between 0, of an episode that is over, and that of one which goes
+    on for ever.
     """
     low, high = min(reward_range[0], 0.0), max(reward_range[1], 0.0)
     return low / (1.0 - discount), high / (1.0 - discount)

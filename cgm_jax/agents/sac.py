@@ -17,8 +17,9 @@ is worth. Where episodes end, any share of it may be missing, so that only the u
 The temperature starts at 0.1: the paper's 1 would have values of entropy outweigh rewards for the
 first thousand updates.
 
-Presets come before the defaults below, also where their values were chosen for DDPG: with `cpu` the
-actor moves at every second update. At every one it does with
+Presets come before the defaults below, also where their values were chosen for DDPG: with `cpu`,
+`gpu` and, except on reach, `quick`, actor and temperature move at every second update. At every one
+they do with
 
     python -m cgm_jax.train --agent sac --actor-update-every 1
 """
@@ -82,7 +83,9 @@ class SAC(Agent[SACState]):
     discount: float = shared(DDPG, "discount")
     target_rate: float = shared(DDPG, "target_rate", 0.005)
     initial_temperature: float = traced(0.1, "temperature alpha before any training", 1e-9, 1e6)
-    target_entropy: float = traced(-1.0, "entropy aimed at, per dimension of actions", -1e3, 1e3)
+    target_entropy: float = traced(
+        -1.0, "entropy aimed at, per dimension of actions; none has more than log 2", -1e3, 1e3
+    )
     hidden_layers: tuple[int, ...] = shared(DDPG, "hidden_layers")
     critics: int = shared(DDPG, "critics", 2)
     target_update_every: int = shared(DDPG, "target_update_every", 1)

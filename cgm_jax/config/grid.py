@@ -287,7 +287,13 @@ def _what_counts(values: Values) -> Hashable:
 def _idle(values: Values) -> frozenset[str]:
     """Settings without effect on a run."""
     hyper = hyperparameters(**{k: v for k, v in values.items() if k not in STATIC})
-    return frozenset().union(*(part.idle() for part in parts(hyper)))
+    return idle_settings(hyper)
+
+
+def idle_settings(hyper: Hyperparameters) -> frozenset[str]:
+    """Names of settings without effect on a run with these hyperparameters."""
+    noise = frozenset({"action_noise"}) if hyper.agent.explores else frozenset()
+    return noise.union(*(part.idle() for part in parts(hyper)))
 
 
 def _wanted(classes: Mapping[str, Any]) -> Values:

@@ -39,6 +39,9 @@ _texts_named_now: set[str] = set()
 _texts_from_config: set[str] = set()
 """The same, as they were named."""
 
+_hosted: dict[str, dict[str, dict[str, str]]] = {}
+"""What `note_hosted` was told, by name."""
+
 _from_config: set[Path] = set()
 """Files that only a config.json has named."""
 
@@ -151,11 +154,26 @@ def _import_module(setting: str, text: str, place: str) -> ModuleType:
 
 
 def files_of(text: str) -> dict[str, str]:
-    """SHA-256 of the files that have run in this process for `text`, by absolute path.
+    """SHA-256 of the user's files that have run for `text`, by absolute path."""
+    if is_gymnasium(text):
+        return _hosted.get(text, {}).get("files", {})
+    return run_files(folder_of(text))
 
-    What runs for an environment of Gymnasium's does so in another process.
+
+def note_hosted(text: str, files: dict[str, str], versions: dict[str, str]) -> None:
+    """Remember what an environment of Gymnasium's runs on, which is in another process.
+
+    Args:
+        text: the name.
+        files: as `files_of` is to return them.
+        versions: of packages, by name.
     """
-    return {} if is_gymnasium(text) else run_files(folder_of(text))
+    _hosted[text] = {"files": files, "versions": versions}
+
+
+def hosted_versions(text: str) -> dict[str, str]:
+    """Versions of packages that an environment of Gymnasium's runs on, by name."""
+    return _hosted.get(text, {}).get("versions", {})
 
 
 def folder_of(text: str) -> Path:
@@ -195,7 +213,19 @@ def require_named(setting: str, text: str) -> None:
         raise SettingError(f"{error}; if it {why}, name it: {_option(setting, text)}") from None
     if file not in _named_now:
         _from_config.add(file)
-        _admitting(setting, text, file)(file, file.read_bytes())
+        _admitting(setting, text, file)(file, _read(setting, file))
+
+
+def _read(setting: str, file: Path) -> bytes:
+    """What a file of code holds.
+
+    Raises:
+        SettingError: it cannot be read.
+    """
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise SettingError(f"{setting}: cannot read {file}: {error.strerror}") from None
 
 
 def _admitting(setting: str, text: str, root: Path) -> Admit:

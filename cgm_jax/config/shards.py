@@ -15,6 +15,7 @@ from cgm_jax.config.components import NAMES
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, Values, swept_settings
 from cgm_jax.config.named import portable
+from cgm_jax.config.spelling import counted
 
 MAX_PARTS = 10_000
 
@@ -65,8 +66,9 @@ def cut(groups: Sequence[Group], part: int, parts: int) -> tuple[list[Group], Sh
     """
     count = sum(len(group.runs) for group in groups)
     if parts > count:
-        runs = "1 run" if count == 1 else f"{count} runs"
-        raise SettingError(f"shard: {parts} parts of {runs} are too many; give at most {count}")
+        raise SettingError(
+            f"shard: {parts} parts of {counted(count, 'run')} are too many; give at most {count}"
+        )
     shard = Shard(part, parts, digest(groups), tuple(swept_settings(groups)))
     return piece(groups, part, parts), shard
 

@@ -164,8 +164,11 @@ def _admit(admit: Admit, path: Path, data: bytes) -> None:
 
 
 def digest_of(path: Path) -> str | None:
-    """SHA-256 of a file of code as it is now; None where there is none."""
-    return sha256(path.read_bytes()).hexdigest() if is_code(path) else None
+    """SHA-256 of a file of code as it is now; None where there is none, or none to be read."""
+    try:
+        return sha256(path.read_bytes()).hexdigest() if is_code(path) else None
+    except OSError:
+        return None
 
 
 def is_code(path: Path) -> bool:

@@ -4,8 +4,9 @@
 
 The paper prints |c_m - c_g|^kappa, which would prefer masks far from c_g; its text and the authors'
 program say near. Sub-goal rates are means over the last h noise-free evaluation episodes with the
-full goal; before any, c_g^(1/n). Two estimates that are not the paper's judge its product: joint
-rates (`factorised` off) and noise-free episodes of each mask (`masked_evaluation_episodes`).
+full goal; before any, c_g^(1/n). Two other estimates judge the product: joint rates (`factorised`
+off), which are not in the paper, and noise-free episodes of each mask
+(`masked_evaluation_episodes`), which the paper names first and leaves for their number.
 
 A share of the episodes can get the full goal in any case (`full_share`, p_full in the authors'
 program).

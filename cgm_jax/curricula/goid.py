@@ -3,10 +3,12 @@
     g ~ uniform over { g : R_min <= R(g) <= R_max },   R(g) = success rate of the present policy
 
 A share of the goals, a third as in the paper, are old ones that are not too hard (R >= R_min), so
-that what was learned is not forgotten. Two things differ from the paper. Where it trains a GAN to
+that what was learned is not forgotten. Three things differ from the paper. Where it trains a GAN to
 propose goals of that kind, candidates are goals that replay has achieved, of which those of that
 kind are kept; they can be reached by construction. And where it evaluates the policy on each goal,
-R(g) is the mean success of the training episodes whose goals were nearest to g. While no
+R(g) is the mean success of the training episodes whose goals were nearest to g. Its old goals come
+from all iterations, each of them once and at some distance from all others; here they come from the
+same recent training episodes (`practised_episodes`), and must not be too hard at present. While no
 candidate is of intermediate difficulty, any of them is practised, as goals of the first policy are
 in the paper; while replay is empty, the environment's own goals.
 
@@ -24,6 +26,7 @@ from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.parts.candidates import (
     achieved_goals,
     between,
+    check_neighbours,
     draw_eligible,
     nearest_success,
 )
@@ -64,7 +67,12 @@ class GOID(Curriculum[GOIDState]):
     candidates: int = static(100, "goals among which to choose", 1, 10**5)
 
     def init(self, sizes: Sizes) -> GOIDState:
-        """Nothing practised yet."""
+        """Nothing practised yet.
+
+        Raises:
+            SettingError: a single episode is to tell how often a goal succeeds.
+        """
+        check_neighbours(self.neighbours, self.practised_episodes)
         like = Practised(jnp.zeros(sizes.goal), jnp.zeros((), bool))
         return GOIDState(
             practised=init_recent(like, self.practised_episodes),

@@ -5,9 +5,12 @@
 The paper scores levels by p (1 - p), the variance of their success. It draws thousands at random,
 runs the policy on each, and trains on the best scored. Here masks take the place of levels: all of
 them are scored, none is run for it, and each is drawn in proportion to its score instead of evenly
-from the best. Sub-goal rates are CGM's: means over the last h noise-free evaluation episodes.
-Before any, the full goal is taken to succeed half of the time, where the score is greatest. Masks
-are uniform where no score is above 0, so where every sub-goal always or never succeeds.
+from the best. In the authors' program half of the levels are drawn at random all the same; here
+that share is `uniform_share`, 0 unless asked for, and without it a mask that keeps a sub-goal which
+never succeeds is not drawn while any other scores. Sub-goal rates are CGM's: means over the last h
+noise-free evaluation episodes. Before any, the full goal is taken to succeed half of the time,
+where the score is greatest. Masks are uniform where no score is above 0, so where every sub-goal
+always or never succeeds.
 
     python -m cgm_jax.train --curriculum learnability --success-history 20
 """
@@ -15,7 +18,7 @@ are uniform where no score is above 0, so where every sub-goal always or never s
 import jax
 from jaxtyping import Array, Float
 
-from cgm_jax.config.fields import settings, shared
+from cgm_jax.config.fields import settings, shared, traced
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.cgm import CGM
 from cgm_jax.curricula.parts.history import (
@@ -41,6 +44,7 @@ MOST_LEARNABLE = 0.5
 class Learnability(Curriculum[SuccessHistory]):
     """Its state holds the outcomes of evaluation episodes with the full goal, per sub-goal."""
 
+    uniform_share: float = traced(0.0, "share of episodes whose masks are drawn uniformly", 0, 1)
     success_history: int = shared(CGM, "success_history")
 
     def init(self, sizes: Sizes) -> SuccessHistory:
@@ -55,7 +59,7 @@ class Learnability(Curriculum[SuccessHistory]):
     def sample(self, state: SuccessHistory, key: jax.Array, drawn: Goals, view: View) -> Goals:
         """The environment's goals, under masks that sometimes succeed."""
         del view
-        return draw_from_table(drawn, key, learnable(self.rates(state)))
+        return draw_from_table(drawn, key, self.probabilities(self.rates(state)))
 
     def after_evaluation(
         self, state: SuccessHistory, outcomes: Outcomes, examined: Outcomes | None = None
@@ -67,12 +71,16 @@ class Learnability(Curriculum[SuccessHistory]):
     def report(self, state: SuccessHistory) -> dict[str, jax.Array]:
         """Per mask [2^n]: its estimated success rate, and its probability of being drawn."""
         rates = self.rates(state)
-        return {"mask_rate_estimated": rates, "mask_probability": learnable(rates)}
+        return {"mask_rate_estimated": rates, "mask_probability": self.probabilities(rates)}
 
     def rates(self, state: SuccessHistory) -> Float[Array, " masks"]:
         """Estimated success rate of every mask [2^n]."""
         masks = goal_masks(state.successes.shape[-1])
         return mask_success_rates(masks, subgoal_rates(state, MOST_LEARNABLE))
+
+    def probabilities(self, rates: Float[Array, " masks"]) -> Float[Array, " masks"]:
+        """Probability [2^n] of drawing each mask, given success rates [2^n]."""
+        return (1.0 - self.uniform_share) * learnable(rates) + self.uniform_share / rates.size
 
 
 def learnable(rates: Float[Array, " m"]) -> Float[Array, " m"]:

@@ -28,7 +28,12 @@ from cgm_jax.config.fields import SettingError, settings, shared, static, traced
 from cgm_jax.config.missing import missing
 from cgm_jax.config.sizes import Sizes
 from cgm_jax.curricula.goid import GOID
-from cgm_jax.curricula.parts.candidates import between, draw_eligible, nearest_success
+from cgm_jax.curricula.parts.candidates import (
+    between,
+    check_neighbours,
+    draw_eligible,
+    nearest_success,
+)
 from cgm_jax.curricula.parts.recent import Recent, init_recent, mean_of, record
 from cgm_jax.curricula.parts.rows import where_rows
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
@@ -74,8 +79,10 @@ class Starts(Curriculum[StartsState]):
         """Nowhere been yet.
 
         Raises:
-            SettingError: episodes of the environment cannot begin in a given state.
+            SettingError: episodes of the environment cannot begin in a given state, or a single
+                one is to tell how often a start succeeds.
         """
+        check_neighbours(self.neighbours, self.practised_episodes)
         if sizes.starts is None:
             raise SettingError(
                 "curriculum: starts needs an environment with restart(state); "

@@ -4,12 +4,13 @@
 
 The standard deviation to the power of `disagreement_power`: 1 is the paper's choice, 2 the
 variance, 0 uniform. What differs: the ensemble are the agent's own critics, where the paper trains
-three value functions beside the agent; so this wants three critics, which `--critics` sets if
-nothing else is asked for. DDPG's have a target each. TD3's and SAC's share one, the least that any
-target critic expects: so they differ by how they began alone, and `vds` changes the agent, too,
-whose target becomes the least of three instead of two. The authors' value functions learn without
-hindsight, these with the agent's; and theirs are clipped to the range of returns before they are
-compared, these are not. The paper takes 1,000 candidates.
+three value functions beside the agent, each on minibatches of its own; here all see the same. So
+this wants three critics, which `--critics` sets if nothing else is asked for. DDPG's have a target
+each. TD3's and SAC's share one, the least that any target critic expects: so they differ by how
+they began alone, and `vds` changes the agent, too, whose target becomes the least of three instead
+of two. The authors' value functions learn without hindsight, these with the agent's; and theirs are
+clipped to the range of returns before they are compared, these are not. The paper takes 1,000
+candidates.
 
     python -m cgm_jax.train --curriculum vds --critics 3
 """

@@ -7,8 +7,8 @@ In the middle of a cycle that is cut, `_part000007` is added to the names: seven
 Only such a file holds what is unfinished, so that any device can go on from the others.
 
 A checkpoint without its manifest was never finished. One that does not match it is damaged: it
-is set aside under a name that says so, and the one before serves. One that the system does not
-hand out just now is neither: it stays, and what was to be done with it fails.
+is set aside under a name that says so, and the one before serves. One that cannot be read just now,
+as on a network disk that is away, is not damaged: it stays, and the command fails.
 """
 
 import contextlib

@@ -54,8 +54,6 @@ def parse(
     """
     words = sys.argv[1:] if arguments is None else arguments
     _check_words(words, from_file=from_file)
-    for option in _given_twice(words):
-        print(f"{option} is given twice: only the last counts", file=sys.stderr)
     if asks_for_help(words):
         if issubclass(kind, TrainingOptions):
             show_preset(words, kind.default_preset, single=not kind.sweeps)
@@ -64,7 +62,7 @@ def parse(
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(
+            options = tyro.cli(
                 kind, args=arguments, prog=program, config=(tyro.conf.FlagCreatePairsOff,)
             )
     except SystemExit as end:
@@ -72,6 +70,9 @@ def parse(
             box = complaint.getvalue()
             refuse("; perhaps ".join([_first_paragraph(box), *_meant(box)]))
         raise
+    for option in _given_twice(words):
+        print(f"{option} is given twice: only the last counts", file=sys.stderr)
+    return options
 
 
 def _check_words(words: Sequence[str], *, from_file: bool) -> None:
@@ -146,9 +147,9 @@ def owns_process() -> bool:
 
 
 def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
-    """End with one line and an exit code."""
-    line = printable(" ".join(message.split()))
-    shown = line if len(line) <= MAX_MESSAGE else f"{line[:MAX_MESSAGE]}..."
+    """End with one line and an exit code; the middle of a very long one is left out."""
+    line, half = printable(" ".join(message.split())), MAX_MESSAGE // 2
+    shown = line if len(line) <= MAX_MESSAGE else f"{line[:half]}...{line[-half:]}"
     print(f"error: {shown}", file=sys.stderr)
     sys.exit(code)
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cgm_jax.config.spelling import counted
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.progress import physics_lines, summary_lines
 from cgm_jax.results.tracking import Tracking
@@ -22,7 +23,7 @@ def conclude(directory: RunDirectory, rows: Sequence[Mapping[str, Any]]) -> int:
     last = list({row["run"]: row for row in rows}.values())
     print("\n".join(summary_lines(last) + physics_lines(rows)))
     try_to_draw_figures(directory)
-    print(f"{len(last)} runs; figures in {directory.path / 'figures'}")
+    print(f"{counted(len(last), 'run')}; figures in {directory.path / 'figures'}")
     return exit_code_of(last)
 
 

@@ -19,3 +19,7 @@ class ExitCode(IntEnum):
     """Stopped by a signal (EX_TEMPFAIL)."""
     IN_USE = 75
     """Another process trains in the directory: try again later. Nothing was begun."""
+
+
+FINISHED = (ExitCode.DONE, ExitCode.DIVERGED)
+"""Of a sweep all of whose epochs are done."""

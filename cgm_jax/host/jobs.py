@@ -95,8 +95,8 @@ def _remarks_on_discount(trainer: Trainer, runs: Sequence[Run]) -> list[str]:
     if episode_length > 1 or not discount:
         return []
     return [
-        f"{settings.env}: its episodes have one step, so that nothing follows whose value discount "
-        f"({discount:g}) could count: --discount 0 is what they need"
+        f"{settings.env}: its episodes have one step, so that there is no next state to bootstrap "
+        f"from: give --discount 0 instead of {discount:g}"
     ]
 
 
@@ -112,4 +112,4 @@ def _check_counters(trainer: Trainer) -> None:
     totals = {"env_steps": cycles * steps, "updates": cycles * settings.updates_per_cycle}
     for name, count in totals.items():
         if count >= 2**31:
-            raise SettingError(f"epochs: {count:,} {name} in all are more than can be counted")
+            raise SettingError(f"epochs: {count:,} {name} in all are more than 2^31 - 1")

@@ -11,7 +11,7 @@ are compiled, which XLA's analysis of a program does not tell either. It is said
 nor is the other process of environments that are Gymnasium's.
 """
 
-import bisect
+import itertools
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -157,9 +157,10 @@ def runs_that_fit(estimate: MemoryEstimate, runs: int, devices: int = 1) -> int:
             f"{largest}: one run takes {format_bytes(estimate.total(1))} of memory, "
             f"and {format_bytes(free)} are free"
         )
-    usable, numbers = free * USABLE_SHARE, range(1, runs + 1)
-    total = partial(estimate.total, devices=devices)
-    return max(1, bisect.bisect_right(numbers, usable, key=total))
+    # One run more may take less in all, where it divides the devices better; so the most so far.
+    totals = (estimate.total(number, devices) for number in range(1, runs + 1))
+    most = itertools.accumulate(totals, max)
+    return max(1, sum(1 for _ in itertools.takewhile((free * USABLE_SHARE).__ge__, most)))
 
 
 def format_bytes(count: int) -> str:

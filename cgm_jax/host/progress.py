@@ -92,12 +92,10 @@ class SweepProgress:
         """A chunk is done: so many cycles, or so much of one."""
         self.skip(cycles)
         self._bar.update(self._task, description="training")
-        self._redraw()
 
     def show_speed(self, env_steps: int, seconds: float) -> None:
         """So many environment steps over all runs, updates included, took so long."""
         self._bar.update(self._task, speed=f"{env_steps / seconds:,.0f} environment steps/s")
-        self._redraw()
 
     def seconds(self) -> float:
         """Since this was made, before anything compiled."""
@@ -107,8 +105,9 @@ class SweepProgress:
         """An epoch is done: its rows of metrics.jsonl."""
         success = {row["run"]: success_of(row) for row in rows}
         self._success.update(success)
-        self._redraw()
-        if not self._redraws:
+        if self._redraws:
+            self._list_runs()
+        else:
             rates = sorted(rate for rate in success.values() if math.isfinite(rate)) or [math.nan]
             print(
                 f"epoch {epoch}: {rows[0]['env_steps']:,} environment steps, "
@@ -117,7 +116,7 @@ class SweepProgress:
                 flush=True,
             )
 
-    def _redraw(self) -> None:
+    def _list_runs(self) -> None:
         rows = [
             Text(f"{name} {_percent(rate)}", style="green" if rate >= 0.5 else "")
             for name, rate in self._success.items()

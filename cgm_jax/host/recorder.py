@@ -8,8 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from cgm_jax.config.fields import parts
-from cgm_jax.config.grid import Group, Run
+from cgm_jax.config.grid import Group, Run, idle_settings
 from cgm_jax.host.checkpoint import TrainingProgress, save_checkpoint
 from cgm_jax.loop.divergence import describe_failure
 from cgm_jax.loop.evaluation import Metrics
@@ -72,10 +71,12 @@ class Recorder:
         training.rows += rows
         self._directory.append_metrics(rows)
         self._tracking.send(rows)
-        policies = _policies(self._group, training.state)
-        for run, row, policy in zip(self._group.runs, rows, policies, strict=True):
-            if self._improves(row):
-                self._directory.write_improvement(run, training.epoch, policy)
+        improved = [i for i, row in enumerate(rows) if self._improves(row)]
+        if improved:
+            policies = list(_policies(self._group, training.state))
+            for i in improved:
+                self._directory.write_improvement(self._group.runs[i], training.epoch, policies[i])
+        for run, row in zip(self._group.runs, rows, strict=True):
             if row["failed_epoch"] == training.epoch:
                 note = f"{run.name} diverged in epoch {training.epoch}: {row['failure']}"
                 print(f"{note}; it learns no more, the others continue", file=sys.stderr)
@@ -145,7 +146,7 @@ def _rows(
 ) -> list[Row]:
     arrays = {name: np.asarray(value) for name, value in metrics.items()}
     failures = arrays.pop("failure")
-    updates = group.settings.cycles_per_epoch * group.settings.updates_per_cycle
+    before = {row["run"]: row["failed_epoch"] for row in training.rows[-len(facts) :]}
     reported = _reported(group, training.state)
     rows = []
     for i, own in enumerate(facts):
@@ -157,8 +158,7 @@ def _rows(
             **dict.fromkeys(MASK_METRICS),
             # A setting is what it is, whatever a curriculum reports under its name.
             **{name: values[i] for name, values in arrays.items() if name not in own},
-            # A frozen agent counts no more updates, so that they tell when it failed.
-            "failed_epoch": int(arrays["updates"][i]) // updates + 1 if failed else None,
+            "failed_epoch": (before.get(own["run"]) or training.epoch) if failed else None,
             "failure": describe_failure(int(failures[i]), training.state.agent) if failed else None,
             "reported": reported,
         }
@@ -189,7 +189,7 @@ def _facts(run: Run, swept: Sequence[str]) -> dict[str, Any]:
     Further settings that the sweep varies are null where they have no effect, too.
     """
     values = run.values
-    idle = frozenset().union(*(part.idle() for part in parts(run.hyper)))
+    idle = idle_settings(run.hyper)
     further = {
         name: None if name in idle else values.get(name) for name in swept if name not in ALWAYS
     }

@@ -158,7 +158,7 @@ def _begin(
             if not 0 <= training.part < job.parts.total:
                 raise ValueError(f"{training.part} parts of a cycle of {job.parts.total}")
         except (KeyError, ValueError) as error:
-            raise SettingError(f"resume: a checkpoint is one of other runs: {error}") from None
+            raise SettingError(f"resume: the checkpoint belongs to other runs: {error}") from None
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     for note in notes:
         print(f"{note}; {where}", file=sys.stderr)
@@ -271,12 +271,12 @@ def _train(
 def _may_outlast_patience(
     job: Job, training: TrainingProgress, recorder: Recorder, pace: Pace
 ) -> bool:
-    """Whether what comes next may take longer than a signal can wait, with a checkpoint after it.
+    """Whether the next chunk or evaluation, and a checkpoint after it, may outlast a signal.
 
-    False, too, until training has gone unsaved for four times as long as saving takes, so that
-    saving takes at most a fifth of the time. How long the first of a kind in this process takes is
-    not known: it is taken for as long as what would be lost is; and an evaluation that has yet to
-    compile for longer than patience, if more than a chunk would be lost.
+    It is expected to take as long as the last of its kind in this process. Before there was one,
+    the answer is whether the work that is not saved took longer than the patience; or than a chunk,
+    if an evaluation comes next that has yet to compile. Always false until four times as long has
+    passed since the last checkpoint as it took, so that saving takes at most a fifth of the time.
     """
     if recorder.unsaved_seconds() < 4 * recorder.save_seconds:
         return False

@@ -17,6 +17,7 @@ from cgm_jax.host.differences import check_same, check_unchanged
 from cgm_jax.host.extension import extended
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.host.training_options import TrainingOptions
+from cgm_jax.machine.allotment import share_cores
 from cgm_jax.storage.config_file import read_origin
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
@@ -110,8 +111,11 @@ def plan(
         check_devices(devices)
     planned = planned or not on_this_machine
     # Of a CPU there may be one more, which is to be idle; see `prepare_jax`.
-    count = sharing if jax.default_backend() == "cpu" else devices
-    return plan_jobs(groups, jax.devices()[:count], planned=planned)
+    on_cpu = jax.default_backend() == "cpu"
+    found = jax.devices()[: sharing if on_cpu else devices]
+    if on_cpu:
+        share_cores(len(found))  # fewer than asked for, where JAX has started with fewer
+    return plan_jobs(groups, found, planned=planned)
 
 
 def _start(asked: Asked, jobs: "Sequence[Job]") -> dict[str, np.ndarray] | None:

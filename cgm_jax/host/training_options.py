@@ -46,8 +46,8 @@ class TrainingOptions(SettingOptions):
 
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Directory of a sweep that was stopped, or is to be trained for more --epochs: resume it. Its
-    settings stay; but files of your own that have moved or were edited are named again, with --env
-    and the like."""
+    settings stay. If files of your own have moved or were edited, name them again, with --env,
+    --curriculum, --agent or --relabelling."""
 
     start: Annotated[
         Path | None, tyro.conf.arg(name="from", metavar="DIR|FILE.npz", help_behavior_hint="")
@@ -82,8 +82,8 @@ class TrainingOptions(SettingOptions):
     """Least time between checkpoints; has no effect on results."""
 
     devices: str = ALL
-    """Devices that share the runs: a number, or all. Of a CPU that is one for each core
-    given, and bits do not depend on how many."""
+    """How many devices share the runs, or all. On a CPU all is one for each core that may be used;
+    results have the same bits for any number."""
 
     track: Annotated[
         str | None,

@@ -30,8 +30,8 @@ from cgm_jax.storage.run_directory import RunDirectory
 from cgm_jax.storage.untrusted import UNREADABLE
 
 TAKEN = (".agent", ".normaliser.observation", ".normaliser.goal")
-"""Parts of a training state that another run's take the place of. The limit to which normalised
-values are clipped is a setting."""
+"""Parts of a training state that are copied from the source; of the normaliser not its limit, which
+is a setting."""
 
 Arrays = Mapping[str, np.ndarray]
 """Of a policy file, or leaves of one run's training state by their names in checkpoints."""
@@ -87,7 +87,10 @@ def start_from(
     settings, env = programs.trainer.setup.settings, programs.trainer.setup.env
     episodes = settings.cycles_per_epoch * settings.environments
     actor = _actor(source, mask_input=settings.mask_input)
-    _check_policy(source, actor, hyper, state)
+    mine = jax.eval_shape(jax.vmap(lambda one, agent: one.agent.actor(agent)), hyper, state.agent)
+    _check_sizes(source, state)
+    actor = _with_inputs(actor, mine)
+    _check_widths(actor, mine)
     take = jax.vmap(lambda one, agent: one.agent.with_actor(agent, actor))
     observe = jax.vmap(lambda own: with_statistics(own, source, episodes * env.episode_length))
     compute: Callable[..., Any] = jax.eval_shape if _is_shape(state) else lambda f, *x: f(*x)
@@ -135,15 +138,17 @@ def _with_leaves(source: Arrays, state: TrainingState) -> TrainingState:
     named = named_leaves(state)
     mine = {name for name, _ in named if name.startswith(TAKEN)}
     for name in sorted(mine ^ set(source)):
-        where = "is only there" if name in source else "is only here"
-        raise SettingError(f"from: it is of another kind of agent: {_said(name)} {where}")
+        where = "in the source" if name in source else "here"
+        raise SettingError(f"from: the agents differ: {_said(name)} is only {where}")
     leaves = []
     for name, leaf in named:
         if name in mine:
             (_, *shape), dtype = stored_like(leaf)
             if [*source[name].shape] != shape or source[name].dtype != dtype:
                 there = f"{source[name].dtype}{[*source[name].shape]}"
-                raise SettingError(f"from: {_said(name)} is {there} there and {dtype}{shape} here")
+                raise SettingError(
+                    f"from: {_said(name)} is {there} in the source and {dtype}{shape} here"
+                )
             leaf = leaf if _is_shape(state) else _repeated(source[name], leaf)
         leaves.append(leaf)
     return jax.tree.unflatten(jax.tree.structure(state), leaves)
@@ -176,21 +181,39 @@ def _actor(policy: Arrays, *, mask_input: bool) -> dict[str, Any]:
     return {"params": layers}
 
 
-def _check_policy(policy: Arrays, actor: Any, hyper: Hyperparameters, state: TrainingState) -> None:
-    """Check that a policy file and its actor have the shapes of those of the runs, [runs, ...].
+def _with_inputs(actor: Any, mine: Any) -> Any:
+    """An actor that takes what those of the runs, [runs, ...], see besides, such as stages.
+
+    All of that is 0 for the full goal, so that policy files leave it out; here it has weights of 0.
+    """
+    first = actor["params"]["layer_0"]
+    seen, wanted = len(first["kernel"]), mine["params"]["layer_0"]["kernel"].shape[1]
+    kernel = jnp.pad(first["kernel"], [(0, max(0, wanted - seen)), (0, 0)])
+    return {"params": {**actor["params"], "layer_0": {**first, "kernel": kernel}}}
+
+
+def _check_sizes(policy: Arrays, state: TrainingState) -> None:
+    """Check that a policy file was made for observations and goals as those of the runs.
 
     Raises:
-        SettingError: they have not.
+        SettingError: it was not.
     """
-    mine = jax.eval_shape(jax.vmap(lambda one, agent: one.agent.actor(agent)), hyper, state.agent)
     for kind in ("observation", "goal"):
         size, own = policy[f"{kind}_mean"].size, getattr(state.normaliser, kind).mean.shape[-1]
         if size != own:
             raise SettingError(f"from: it was made for {kind}s of size {size}, not {own}")
+
+
+def _check_widths(actor: Any, mine: Any) -> None:
+    """Check that an actor has the layers of those of the runs, [runs, ...].
+
+    Raises:
+        SettingError: it has not.
+    """
     there, here = (_widths(one) for one in (actor, mine))
     if there != here:
         raise SettingError(
-            f"from: its layers are {there} there and {here} here, from inputs to actions"
+            f"from: its layers are {there} in the source and {here} here, from inputs to actions"
         )
 
 

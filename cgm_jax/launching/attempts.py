@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import IO
 
-from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.exit_codes import FINISHED, ExitCode
 from cgm_jax.launching.cores import Cores
 from cgm_jax.launching.record import append_event, position
 from cgm_jax.storage.lock import InUseError, locked
@@ -31,8 +31,8 @@ LOCK_PATIENCE = 300.0
 """Seconds that an attempt waits for one before it that still trains, on a node believed lost."""
 
 ELSEWHERE = os.sep
-"""Where a child starts if the directory that it should start in is not there: Python imports from
-where it is started, and nobody else can have put anything here."""
+"""Where a child starts if the directory that it should start in is not there. Python imports from
+the working directory, so it must be one that other users cannot write to."""
 
 POLL_SECONDS = 0.2
 ENDING_SECONDS = 20.0
@@ -70,7 +70,7 @@ def next_step(code: int | None, fruitless: int) -> Step:
         code: exit code; negative or above 128 for a signal; None for none, where a node was lost.
         fruitless: attempts in a row, this one included, that began where training stands now.
     """
-    if code in (ExitCode.DONE, ExitCode.DIVERGED):
+    if code in FINISHED:
         return Step.DONE
     killed = code is None or was_killed(code)
     if not killed and code not in (ExitCode.CANNOT_WRITE, ExitCode.STOPPED):

@@ -13,7 +13,7 @@ from cgm_jax.config.named import absolute
 from cgm_jax.launching.attempts import Order
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.layout import LAUNCH, check_parts, why_it_holds_none
-from cgm_jax.storage.untrusted import UNREADABLE, from_json
+from cgm_jax.storage.untrusted import UNREADABLE, read_json
 
 FORMAT = 1
 CHECKPOINT_SECONDS = 60
@@ -138,9 +138,7 @@ def read_launch(path: Path) -> Launch:
     check_parts(path)
     file = path / LAUNCH
     try:
-        if file.stat().st_size > MAX_BYTES:
-            raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
-        entry = from_json(file.read_bytes())
+        entry = read_json(file, MAX_BYTES)
         if entry["format"] != FORMAT:
             raise ValueError(f"its format is {entry['format']!r:.20}")
         return Launch(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from cgm_jax.host.exit_codes import ExitCode
+from cgm_jax.host.exit_codes import FINISHED, ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.launching.attempts import POLL_SECONDS, Step, next_step, was_killed
 from cgm_jax.launching.directory import Launch
@@ -99,8 +99,7 @@ class Parts:
 
     def done(self) -> list[int]:
         """Parts that are done."""
-        good = (ExitCode.DONE, ExitCode.DIVERGED)
-        return [part for part, code in self.codes.items() if code in good]
+        return [part for part, code in self.codes.items() if code in FINISHED]
 
     def fruitless(self, part: int, here: list[int]) -> int:
         """How many attempts in a row came no further than here, one that ended now included."""

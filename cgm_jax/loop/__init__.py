@@ -1,4 +1,4 @@
-"""What turns: training as pure functions over one state, jitted and vmapped over runs.
+"""The training loop: pure functions over one state, jitted and vmapped over runs.
 
 training.py     `make_trainer`, and the compiled programs: start here; compiler.py compiles them
 cycle.py        choose goals, roll out, store, learn

@@ -113,6 +113,7 @@ def store(
             state.normaliser,
             rollout.episodes,
             rollout.outcomes.valid,
+            rollout.drawn_goal,
             floor=settings.normaliser_floor,
             distance_threshold=env.distance_threshold,
         ),

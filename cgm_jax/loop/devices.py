@@ -1,7 +1,8 @@
 """The axis of runs, spread over the devices of this process.
 
-Runs are independent, so each device takes its share of them and never waits for another. Where
-they do not divide, rows are left over at the end of the axis; nobody trains or reads them.
+Runs are independent, so each device takes its share of them and never waits for another. If their
+number is no multiple of that of the devices, the axis is padded with copies of the last run. Nobody
+trains or reads these.
 
 A GPU trains its runs side by side, under `jax.vmap`. A CPU trains them one after another, so that
 their bits are the same on however many devices (in_turn.py).
@@ -30,7 +31,7 @@ class Share(NamedTuple):
 
     Attributes:
         devices: how many take part.
-        runs: of each of them, rows left over included.
+        runs: of each of them, padding included.
     """
 
     devices: int
@@ -38,7 +39,7 @@ class Share(NamedTuple):
 
 
 def share(runs: int, devices: int) -> Share:
-    """Share runs out, the largest share as small as can be, then on as few devices as can be."""
+    """Divide runs: first with the largest share as small as possible, then on as few devices."""
     each = -(-runs // max(1, min(runs, devices)))
     return Share(-(-runs // each), each)
 
@@ -72,24 +73,24 @@ def team_of(devices: Sequence[Device]) -> Team:
 
 
 def spread(team: Team, tree: Tree) -> Tree:
-    """What has a leading axis of runs, with rows filled up and on the team's devices."""
+    """What has a leading axis of runs, padded and on the team's devices."""
     return jax.tree.map(lambda leaf: _spread(team, leaf), tree)
 
 
 def _spread(team: Team, leaf: Any) -> jax.Array:
     leaf = leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf)
     rows = team.each(len(leaf)) * team.mesh.size
-    return jax.device_put(_filled_up(leaf, rows), NamedSharding(team.mesh, SPREAD))
+    return jax.device_put(_padded(leaf, rows), NamedSharding(team.mesh, SPREAD))
 
 
-def _filled_up(leaf: jax.Array, rows: int) -> jax.Array:
-    """As many rows, those left over as the last one."""
+def _padded(leaf: jax.Array, rows: int) -> jax.Array:
+    """So many rows, those beyond the last one as that is."""
     missing = rows - len(leaf)
     return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]) if missing else leaf
 
 
 def spread_shapes(team: Team, tree: Tree) -> Tree:
-    """Shapes whose leading axis is that of runs, rows filled up, with where `spread` puts them."""
+    """Shapes whose leading axis is that of runs, padded, with where `spread` puts them."""
     sharding = NamedSharding(team.mesh, SPREAD)
     return jax.tree.map(lambda leaf: leaf.update(sharding=sharding), tree)
 
@@ -112,14 +113,14 @@ def own_rows(team: Team, tree: Tree) -> tuple[Tree, jax.Array]:
     """Inside `on_each`: a device's rows of what has a leading axis of all runs.
 
     Returns:
-        The rows, those left over being those of some run; and how many are not left over.
+        The rows, padding included; and how many are not padding.
     """
     runs = len(jax.tree.leaves(tree)[0])
     each = team.each(runs)
     first = jax.lax.axis_index(RUNS) * each
     rows = jax.tree.map(
         lambda leaf: jax.lax.dynamic_slice_in_dim(
-            _filled_up(leaf, each * team.size), first, each, allow_negative_indices=False
+            _padded(leaf, each * team.size), first, each, allow_negative_indices=False
         ),
         tree,
     )

@@ -16,6 +16,7 @@ from cgm_jax.config.named import (
     is_gymnasium,
     is_own,
     load_named,
+    note_hosted,
     trust_of,
 )
 from cgm_jax.config.settings import Settings
@@ -99,6 +100,7 @@ def _hosted(name: str) -> GoalEnvironment:
         process = HostedProcess(name, env_id, module, trust)
     except ValueError as error:
         raise SettingError(str(error)) from None
+    note_hosted(name, **process.facts["runs_on"])
     return HostedTask(process)  # pyright: ignore[reportReturnType] -- its State is not brax's
 
 

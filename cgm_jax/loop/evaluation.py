@@ -11,7 +11,7 @@ from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.curricula.protocol import Goals
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.inputs import network_inputs
-from cgm_jax.loop.rollout import Policy, drawn_goals, reset, roll_out
+from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, reset, roll_out
 from cgm_jax.loop.setup import Setup, sizes
 from cgm_jax.loop.state import EpochStatistics, TrainingState, count_true, init_statistics
 
@@ -36,18 +36,20 @@ def changes_of_evaluation(
 ) -> tuple[dict[str, Any], Metrics]:
     """Like `evaluate`, but of the state only the fields that change, by their names."""
     key, reset_key, examination_key = jax.random.split(state.key, 3)
-    first = reset(setup.env, reset_key, setup.settings.evaluation_episodes)
-    goals = drawn_goals(setup.env, first)
-    rollout = roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals)
+
+    def played(key: jax.Array, count: int, masks: jax.Array | None = None) -> Rollout:
+        first = reset(setup.env, key, count)
+        goals = drawn_goals(setup.env, first)
+        goals = goals if masks is None else goals.replace(mask=masks)
+        return roll_out(setup.env, final_policy(setup, state, hyper, goals), first, goals)
+
+    rollout = played(reset_key, setup.settings.evaluation_episodes)
     outcomes, valid = rollout.outcomes, rollout.outcomes.valid
     episodes = count_true(valid)
     broken, examined = count_true(rollout.broken), None
     masks = hyper.curriculum.examination(sizes(setup, hyper))
     if masks is not None:
-        first = reset(setup.env, examination_key, len(masks))
-        goals = drawn_goals(setup.env, first).replace(mask=masks)
-        policy = final_policy(setup, state, hyper, goals)
-        rollout = roll_out(setup.env, policy, first, goals)
+        rollout = played(examination_key, len(masks), masks)
         examined = rollout.outcomes
         broken += count_true(rollout.broken)
     metrics = {

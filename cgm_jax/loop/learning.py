@@ -78,7 +78,7 @@ def learn(
     logged = {info[name].size for name in losses} or {0}
     if len(logged) > 1:
         raise SettingError("agent: what train logs are arrays of different lengths")
-    updates = jnp.where(learned, sizes(setup, hyper).updates_at_once, 0)
+    updates = jnp.where(learned, len(batches.reward), 0)
     return state.replace(
         agent=agent,
         failure=failure,

@@ -64,24 +64,30 @@ def observe(
     normaliser: Normaliser,
     episodes: Episodes,
     valid: Bool[Array, " episodes"],
+    drawn_goal: Float[Array, "episodes n"],
     *,
     floor: float,
     distance_threshold: float,
 ) -> Normaliser:
     """Take in new episodes.
 
-    Goals are fed from both kinds that the networks see: desired and achieved ones. Of an episode
-    that ended early the states up to its end count, not the copies of its last one.
+    Goals are fed from both kinds that the networks see: desired and achieved ones. Of the desired
+    ones every other row is what the environment drew, which evaluation asks for, in place of what a
+    curriculum has chosen: that may be achieved goals alone, to which all others look alike. Of an
+    episode that ended early the states up to its end count, not the copies of its last one.
 
     Args:
         normaliser: before.
         episodes: the new ones.
         valid: which of them count, [episodes] bool.
+        drawn_goal: what the environment drew, [episodes, n].
         floor: least standard deviation, in distance thresholds.
         distance_threshold: of the environment, in the unit of its goals.
     """
     length = episodes.action.shape[1]
-    desired = jnp.repeat(episodes.desired_goal[:, None], length, axis=1)
+    places = jnp.arange(len(drawn_goal))[:, None] + jnp.arange(length)
+    chosen = (places % 2 == 0)[..., None]
+    desired = jnp.where(chosen, episodes.desired_goal[:, None], drawn_goal[:, None])
     goals = jnp.concatenate([desired, episodes.achieved_goal[:, 1:]], axis=1)
     scales = (floor * distance_threshold, FAR * distance_threshold)
     states, steps = valid[:, None], valid[:, None]

@@ -34,12 +34,14 @@ class Rollout(struct.PyTreeNode):
         outcomes: which of them count, and what they achieved.
         broken: whose physics broke or whose numbers are not finite, [E] bool. Those that ended
             before their first step do not count either, but are not broken.
+        drawn_goal: what the environments drew, [E, n], where curricula may have chosen others.
         record: what `roll_out` was asked to keep of every state, leading axis [T + 1].
     """
 
     episodes: Episodes
     outcomes: Outcomes
     broken: jax.Array
+    drawn_goal: jax.Array
     record: Any = None
 
 
@@ -216,7 +218,7 @@ def _finished(
         length=None if ended is None else _length(ended, jax.vmap(env.is_terminal)(last)),  # pyright: ignore
     )
     broken = warnings.sum(axis=0) + _warnings(last, goals.mask.shape[0])
-    rollout = _judge(env, episodes, goals, broken)
+    rollout = _judge(env, episodes, goals, broken, last.obs["desired_goal"])
     record = jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), kept, keep(last))
     return rollout.replace(record=record, outcomes=rollout.outcomes.replace(visited=visited))
 
@@ -237,7 +239,13 @@ def _length(ended: jax.Array, ended_at_last: jax.Array) -> jax.Array:
     return jnp.where(ended_at_last, steps, ended.shape[0] + 1)
 
 
-def _judge(env: GoalEnvironment, episodes: Episodes, goals: Goals, warnings: jax.Array) -> Rollout:
+def _judge(
+    env: GoalEnvironment,
+    episodes: Episodes,
+    goals: Goals,
+    warnings: jax.Array,
+    drawn_goal: jax.Array,
+) -> Rollout:
     goal, final = episodes.desired_goal, episodes.achieved_goal[:, -1]
     finite = [
         jnp.isfinite(rows).all(axis=(1, 2))
@@ -255,4 +263,4 @@ def _judge(env: GoalEnvironment, episodes: Episodes, goals: Goals, warnings: jax
         valid=valid,
         observation=episodes.observation[:, 0],
     )
-    return Rollout(episodes=episodes, outcomes=outcomes, broken=~held)
+    return Rollout(episodes=episodes, outcomes=outcomes, broken=~held, drawn_goal=drawn_goal)

@@ -117,9 +117,9 @@ class Programs(NamedTuple):
 
     Attributes:
         trainer: whose programs these are.
-        spread: states from a file to what the others take: on the devices, with rows left over.
+        spread: states from a file to what the others take: on the devices, padded.
         shapes: hyperparameters to mere shapes of the states that `start` makes.
-        start: hyperparameters to states, [rows, ...]: the runs first, then rows left over.
+        start: hyperparameters to states, [rows, ...]: the runs first, then padding.
         train: states, hyperparameters and a number of cycles to states, or of parts where cycles
             are cut. Takes the states over: their buffers are reused.
         evaluate: states and hyperparameters to states and metrics; takes the states over.

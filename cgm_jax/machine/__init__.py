@@ -1,4 +1,4 @@
-"""What this process runs on, which any room may ask; only Python's own library comes with it.
+"""What this process runs on, which any folder may ask; only Python's own library comes with it.
 
 allotment.py      cores and memory: a container, a batch system or an affinity mask may limit them
 device_errors.py  errors from below JAX, in one line

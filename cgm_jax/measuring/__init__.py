@@ -6,8 +6,9 @@ Against what the machine can do:
     rollouts.py     environment steps through the scan against raw MuJoCo
     engines.py      environment steps of any engine on any device
     updates.py      network updates against a matrix product
-    sweeps.py       runs side by side against runs alone
+    sweeps.py       runs of a sweep against runs alone
     workload.py     the runs that are measured; figures.py a figure and its target
+    child.py        a program in a process of its own, whose output is a measurement
     compilations.py how many programs were compiled
 
 Against another commit:

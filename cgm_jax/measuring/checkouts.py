@@ -29,7 +29,9 @@ class Checkout:
 
     def environment(self) -> dict[str, str]:
         """Variables under which Python imports this checkout's packages."""
-        return {**os.environ, "PYTHONPATH": str(self.root)}
+        theirs = os.environ.get("PYTHONPATH")
+        paths = [str(self.root), *([theirs] if theirs else [])]
+        return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def this_checkout() -> Checkout:

@@ -19,8 +19,9 @@ import numpy as np
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.measuring.checkouts import Checkout, find_commit, prepare, this_checkout, worktree
+from cgm_jax.measuring.child import MeasurementError
 from cgm_jax.measuring.ratios import Ratio, paired_ratio
-from cgm_jax.measuring.training_process import Cost, MeasurementError, TrainingProcess
+from cgm_jax.measuring.training_process import Cost, TrainingProcess
 from cgm_jax.measuring.unwinding import Unwinding
 
 TRAINING_BOUND = 1.03

@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any, NoReturn, Self
 
 from cgm_jax.config.fields import SettingError
+from cgm_jax.config.spelling import counted
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.measuring.checkouts import Checkout
+from cgm_jax.measuring.child import MeasurementError, last_line
 
 POLL_SECONDS = 0.005
 TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
-
-
-class MeasurementError(Exception):
-    """Something could not be measured; the message says what and why."""
 
 
 @dataclass(frozen=True)
@@ -141,13 +139,13 @@ class TrainingProcess:
 
     def _give_up(self, code: int) -> NoReturn:
         """Say why there are no further epochs of the same runs."""
-        said = "".join((self._directory / "stderr").read_text().strip().splitlines()[-1:])
+        said = last_line((self._directory / "stderr").read_text())
         where = f"{' '.join(['cgm_jax.sweep', *self._options])} at {self._checkout.commit}"
         if code == ExitCode.BAD_INPUT:
             raise SettingError(f"options: {where}: {said.removeprefix('error: ')}")
         if code == ExitCode.DONE:
             raise MeasurementError(
-                f"{where} trains its runs side by side for {self._epoch} epochs only; "
+                f"{where} trains its runs side by side for {counted(self._epoch, 'epoch')} only; "
                 "give it more --epochs, or time fewer"
             )
         raise MeasurementError(f"{where} ended with exit code {code}: {said}")

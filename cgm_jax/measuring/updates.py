@@ -9,12 +9,16 @@ import jax.numpy as jnp
 
 from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.agents.protocol import Minibatch
+from cgm_jax.config.grid import Group
 from cgm_jax.config.sizes import Sizes
+from cgm_jax.loop.environment import make_environment
+from cgm_jax.loop.setup import make_setup
+from cgm_jax.loop.setup import sizes as sizes_of
 from cgm_jax.measuring.figures import Figure, medians
 from cgm_jax.measuring.workload import cpu_group
 
-INPUTS, ACTIONS = 28, 4
-"""Of push and pick-and-place."""
+OBSERVATION, GOAL, ACTIONS = 25, 3, 4
+"""Sizes of push and pick-and-place."""
 
 PRODUCT_SIZE = 2048
 PRODUCT_OPERATIONS = 2.0 * PRODUCT_SIZE**3
@@ -26,19 +30,19 @@ def measure_updates(repeats: int) -> list[Figure]:
 
     Of the paper's networks with several batches, and of the cpu preset.
     """
-    count = 10
+    count, group = 10, cpu_group("push")
     paper = DDPG(target_update_every=1)
-    preset = cpu_group("push").runs[0].hyper.agent
+    preset = group.runs[0].hyper.agent
     narrow = dataclasses.replace(
         paper,
         hidden_layers=preset.hidden_layers,
         actor_update_every=preset.actor_update_every,
     )
     sizes = Sizes(
-        observation=INPUTS - 3,
-        goal=3,
+        observation=OBSERVATION,
+        goal=GOAL,
         action=ACTIONS,
-        inputs=INPUTS,
+        inputs=OBSERVATION + GOAL,
         episode_length=50,
         distance_threshold=0.05,
         environments=16,
@@ -48,9 +52,11 @@ def measure_updates(repeats: int) -> list[Figure]:
         starts=None,
     )
     figures, peak = [], 0.0
-    for ddpg, batch_size in (*((paper, size) for size in (256, 512, 1024)), (narrow, 512)):
-        agent = ddpg.init(jax.random.key(1), sizes)
-        inputs = jax.random.normal(jax.random.key(2), (count, batch_size, INPUTS))
+    of_paper = [(paper, sizes.inputs, batch_size) for batch_size in (256, 512, 1024)]
+    of_preset = (narrow, inputs_of(group), group.settings.batch_size)
+    for ddpg, width, batch_size in (*of_paper, of_preset):
+        agent = ddpg.init(jax.random.key(1), sizes._replace(inputs=width))
+        inputs = jax.random.normal(jax.random.key(2), (count, batch_size, width))
         action, reward = jnp.tanh(inputs[..., :ACTIONS]), -jnp.ones(inputs.shape[:2])
         batches = Minibatch(inputs, action, reward, inputs)
 
@@ -66,7 +72,7 @@ def measure_updates(repeats: int) -> list[Figure]:
             ],
             repeats,
         )
-        rate = count * update_operations(ddpg, batch_size) / update_seconds
+        rate = count * update_operations(ddpg, batch_size, width) / update_seconds
         peak = PRODUCT_OPERATIONS / product_seconds
         name = f"update, {len(ddpg.hidden_layers)} x {ddpg.hidden_layers[0]}, batch {batch_size}"
         figures += [
@@ -83,15 +89,21 @@ def large_product() -> Callable[[], object]:
     return lambda: product(matrix).block_until_ready()
 
 
-def update_operations(ddpg: DDPG, batch_size: int) -> float:
+def inputs_of(group: Group) -> int:
+    """How many numbers the networks of a group's runs see."""
+    setup = make_setup(make_environment(group.settings), group.settings)
+    return sizes_of(setup, group.runs[0].hyper).inputs
+
+
+def update_operations(ddpg: DDPG, batch_size: int, inputs: int) -> float:
     """Floating-point operations in the matrix products of one update, on average."""
 
     def products(input_size: int, output_size: int) -> int:
         widths = [input_size, *ddpg.hidden_layers, output_size]
         return sum(a * b for a, b in itertools.pairwise(widths))
 
-    actor = products(INPUTS, ACTIONS)
-    critic = products(INPUTS + ACTIONS, 1)
+    actor = products(inputs, ACTIONS)
+    critic = products(inputs + ACTIONS, 1)
     # Targets: one pass each. Critic loss: forward, and gradients to weights and activations.
     # Actor loss: the same for the actor; the critic forward, and its gradient to the action.
     of_actor = (actor * 3 + critic * 2) / ddpg.actor_update_every

@@ -86,12 +86,14 @@ class Future(Relabelling):
         relabel = for_relabel < jnp.where(self.her, self.her_k / (self.her_k + 1.0), 0.0)
         moved = moved_goal(episodes.achieved_goal, distance_threshold)
         eligible = moved & (jnp.arange(len(moved)) < size(replay)) & self.her_filter
+        taken = steps_taken(episodes)
         episode = jnp.where(
             relabel & eligible.any() & jnp.logical_not(anywhere),
-            _drawn_among(eligible, for_episode),
-            integer_below(jnp.maximum(size(replay), 1), for_episode),
+            _drawn_among(eligible if taken is None else jnp.where(eligible, taken, 0), for_episode),
+            integer_below(jnp.maximum(size(replay), 1), for_episode)
+            if taken is None
+            else _drawn_among(taken, for_episode),
         )
-        taken = steps_taken(episodes)
         steps = episode_length if taken is None else taken[episode]
         step = integer_below(steps, for_step)
         future = step + 1 + integer_below(steps - step, for_future)
@@ -135,11 +137,11 @@ def moved_goal(
 
 
 def _drawn_among(
-    eligible: Bool[Array, " C"], uniform: Float[Array, " count"]
+    weight: Bool[Array, " C"] | Int[Array, " C"], uniform: Float[Array, " count"]
 ) -> Int[Array, " count"]:
-    """Turn numbers uniform in [0, 1) into indices, uniform among those that are eligible."""
-    count = jnp.cumsum(eligible)
-    return jnp.searchsorted(count, 1 + integer_below(count[-1], uniform))
+    """Turn numbers uniform in [0, 1) into indices, each as likely as its weight, a whole number."""
+    count = jnp.cumsum(weight)
+    return jnp.searchsorted(count, 1 + integer_below(jnp.maximum(count[-1], 1), uniform))
 
 
 def integer_below(bound: int | jax.Array, uniform: Float[Array, "*shape"]) -> Int[Array, "*shape"]:

@@ -18,7 +18,7 @@ table there.
 
 Where it deviates: there each stage has a minibatch of its own in every update, and actions that
 pursue a stage are not random. There a stage is at the object itself; here the environment says
-where, such as behind what it is to push.
+where, such as behind what it is to push. Without HER stages are neither served nor pursued.
 
     python -m cgm_jax.train --preset cpu --env pick_and_place --relabelling relay
 """
@@ -112,12 +112,13 @@ class Relay(Future):
         for number, one in reversed(list(enumerate(stages))):
             reached = _is_achieved(one, targets[number], observation)
             stage = jnp.where(reached, stage, number)
-        stage = jnp.where(uniform < self.relay_chance, stage, len(stages))
+        chance = jnp.where(self.her, self.relay_chance, 0.0)
+        stage = jnp.where(uniform < chance, stage, len(stages))
         return _shown(stages, stage, targets, observation)
 
     def idle(self) -> frozenset[str]:
-        """Without HER, what is about hindsight."""
-        return super().idle() | (frozenset() if self.her else {"relay_share"})
+        """Without HER, what is about stages, too."""
+        return super().idle() | (frozenset() if self.her else {"relay_share", "relay_chance"})
 
 
 def _each(

@@ -20,14 +20,14 @@ from cgm_jax.storage.layout import START
 from cgm_jax.storage.metrics import Row
 from cgm_jax.storage.run_directory import RunDirectory
 
-PROVENANCE = ("versions", "python", "commit", "device", "flags", "variables", "machine", "files")
+BITS = ("versions", "python", "commit", "device", "flags", "variables", "files", "hosted")
+"""Entries on which results depend, machines aside, which are many where there are parts."""
+
+PROVENANCE = (*BITS, "machine")
 """Of these each part keeps its own, since parts may have been trained on several machines."""
 
 KEPT = ("command", "started", "resumed", "from", *PROVENANCE)
 """Of a part's config, beside its runs."""
-
-BITS = ("versions", "python", "commit", "device", "flags", "variables", "files")
-"""Those on which results depend, machines aside, which are many where there are parts."""
 
 
 def differences(parts: Sequence[Part]) -> list[str]:
@@ -41,7 +41,7 @@ def differences(parts: Sequence[Part]) -> list[str]:
 
 def _compared(part: Part, name: str) -> Any:
     """An entry of a part's config; of files, wherever they lie, what they are called and hold."""
-    entry = part.config.get(name)
+    entry = part.config.get(name) or None  # earlier versions had no entry for what is empty
     if name != "files" or not isinstance(entry, dict):
         return entry
     return sorted([Path(path).name, str(digest)] for path, digest in entry.items())

@@ -24,7 +24,7 @@ from cgm_jax.config.named import absolute, is_own, label, name_now
 from cgm_jax.results.trackers.protocol import Tracker
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.metrics import Row
-from cgm_jax.storage.untrusted import UNREADABLE, from_json
+from cgm_jax.storage.untrusted import UNREADABLE, read_json
 
 SWEEP = "sweep"
 """What trackers call the run that shows the figures of all."""
@@ -189,9 +189,7 @@ def scalars(row: Row, settings: set[str]) -> dict[str, float]:
 def _read(path: Path, directory: Path) -> tuple[str, dict[str, int], set[str], dict[str, str]]:
     """The sweep's label, the last epoch sent per run, runs that are closed, digests of files."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
-        kept = from_json(path.read_bytes())
+        kept = read_json(path, MAX_BYTES)
         sweep, closed = kept["sweep"], set(kept["closed"])
         sent, files = dict(kept["sent"]), dict(kept["files"])
         whole = all(isinstance(text, str) for text in (sweep, *closed, *sent, *files))
@@ -201,7 +199,8 @@ def _read(path: Path, directory: Path) -> tuple[str, dict[str, int], set[str], d
     except FileNotFoundError:
         return f"{directory.absolute().name}-{secrets.token_hex(4)}", {}, set(), {}
     except (OSError, *UNREADABLE) as error:
-        raise SettingError(f"track: {path} is damaged: {type(error).__name__}: {error}") from None
+        text = str(error).partition("\n")[0]
+        raise SettingError(f"track: {path} is damaged: {type(error).__name__}: {text}") from None
     return sweep, sent, closed, files
 
 

@@ -96,7 +96,7 @@ def check_rows(rows: Sequence[Row], names: Sequence[str], epochs: int) -> None:
         expected = [(name, epoch) for epoch in range(1, epochs + 1) for name in names]
         if [(row["run"], row["epoch"]) for row in rows] == expected:
             return
-    raise ValueError("they are not one for each of its runs and epochs")
+    raise ValueError("there is not one row per run and epoch")
 
 
 def to_csv(rows: Sequence[Row]) -> str:

@@ -9,12 +9,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cgm_jax.config.named import files_of, folder_of
+from cgm_jax.config.named import files_of, folder_of, hosted_versions
 from cgm_jax.config.user_code import digest_of
 from cgm_jax.machine.allotment import available_cores
 from cgm_jax.storage.untrusted import printable
 
-PACKAGES = ("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "optax", "brax", "numpy")
+PACKAGES = (
+    *("cgm_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang"),
+    *("flax", "optax", "brax", "numpy", "gymnasium"),
+)
 TITLES = {
     "python": "Python",
     "commit": "commit",
@@ -23,6 +26,9 @@ TITLES = {
     "machine": "",
 }
 """Entries that are one text each, and what to call them."""
+
+DECISIVE = ("JAX_", "CGM_JAX_GYMNASIUM_")
+"""Prefixes of environment variables on which results depend."""
 
 MAX_SHOWN = 100
 
@@ -35,8 +41,11 @@ def provenance(device: str, own_names: Iterable[str]) -> dict[str, Any]:
         own_names: of the user's own code, which has been loaded.
     """
     files: dict[str, str] = {}
+    hosted: dict[str, str] = {}
     for name in own_names:
         files |= files_of(name)
+        versions = hosted_versions(name)
+        hosted |= {f"{package} of {name}": version for package, version in versions.items()}
     return {
         "versions": {name: _version(name) for name in PACKAGES},
         "python": platform.python_version(),
@@ -44,8 +53,9 @@ def provenance(device: str, own_names: Iterable[str]) -> dict[str, Any]:
         "device": device,
         "flags": os.environ.get("XLA_FLAGS", ""),
         "variables": _variables(),
-        "machine": _machine(),
+        "machine": f"{platform.platform()}, {cores()}",
         "files": files,
+        "hosted": hosted,
     }
 
 
@@ -64,9 +74,9 @@ def changes(
     """
     found = [f"{_shown(old)} (now {_shown(new)})" for old, new in moved.items()]
     found += _changed_files(before.get("files", {}), moved)
-    for kind in ("versions", "variables"):
+    for kind in ("versions", "variables", "hosted"):
         old, new = before.get(kind, {}), now[kind]
-        names = [name for name in old if name in PACKAGES]
+        names = [name for name in old if name in PACKAGES or kind == "hosted"]
         if kind == "variables":
             names = sorted({*old, *new}) if kind in before else []
         for name in names:
@@ -107,12 +117,21 @@ def moved_path(name: str, moved: Mapping[str, str]) -> Path:
     return Path(name)
 
 
+def moved_hosts(hosted: Mapping[str, str], moved: Mapping[str, str]) -> dict[str, str]:
+    """Versions by package and task, where tasks have been named again."""
+    apart = {name: name.partition(" of ") for name in hosted}
+    return {
+        f"{package}{of}{moved.get(task, task)}": hosted[name]
+        for name, (package, of, task) in apart.items()
+    }
+
+
 def _variables() -> dict[str, str]:
-    """Settings of JAX, less those of a cache, which change no result."""
+    """Settings of JAX, less those of a cache, which change no result, and of hosted tasks."""
     return {
         name: value
         for name, value in sorted(os.environ.items())
-        if name.startswith("JAX_") and "CACHE" not in name
+        if name.startswith(DECISIVE) and "CACHE" not in name
     }
 
 
@@ -142,11 +161,10 @@ def _commit() -> str | None:
     return result.stdout.strip() or None
 
 
-def _machine() -> str:
-    """The system, and how many of its cores this process may use, on which its time depends."""
+def cores() -> str:
+    """How many of the machine's cores this process may use, on which its time depends."""
     usable, there = available_cores(), os.cpu_count()
-    cores = f"{there} cores" if usable == there else f"{usable} of {there} cores"
-    return f"{platform.platform()}, {cores}"
+    return f"{there} cores" if usable == there else f"{usable} of {there} cores"
 
 
 def _shown(value: Any) -> str:

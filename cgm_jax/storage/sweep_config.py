@@ -31,7 +31,7 @@ from cgm_jax.storage.config_file import (
 from cgm_jax.storage.files import replacing
 from cgm_jax.storage.formats import FORMAT, upgraded
 from cgm_jax.storage.layout import CONFIG, check_parts
-from cgm_jax.storage.provenance import changes, moved_path, provenance
+from cgm_jax.storage.provenance import changes, moved_hosts, moved_path, provenance
 from cgm_jax.storage.untrusted import UNREADABLE
 
 
@@ -259,6 +259,7 @@ class SweepConfig:
             config |= {
                 "groups": renamed(config["groups"], moved),
                 "files": {str(moved_path(name, moved)): files[name] for name in files},
+                "hosted": moved_hosts(config.get("hosted", {}), moved),
                 "resumed": [*config.get("resumed", []), entry],
             }
         except UNREADABLE as error:

@@ -7,10 +7,12 @@ against what its user has named (config/named.py).
 
 import contextlib
 import importlib
+import importlib.metadata
 import importlib.util
 import json
 import math
 import os
+import platform
 import signal
 import sys
 import traceback
@@ -85,7 +87,7 @@ def main() -> None:
             try:
                 if message["op"] == "begin":
                     rows = begin(message)
-                    op, values = "facts", rows.facts
+                    op, values = "facts", {**rows.facts, "runs_on": runs_on(message)}
                 else:
                     answer = serve(rows, message["op"], arrays)
             except Exception as error:
@@ -140,6 +142,25 @@ def begin(message: dict[str, Any]) -> Any:
     elif message["module"]:
         importlib.import_module(message["module"])
     return rows.Rows(message["id"])
+
+
+def runs_on(message: dict[str, Any]) -> dict[str, dict[str, str]]:
+    """What results depend on in this process: versions, and SHA-256 of the user's own files."""
+    packages = {"gymnasium", "numpy", "mujoco"}
+    files: dict[str, str] = {}
+    if module := message["module"]:
+        providers = getattr(importlib.metadata, "packages_distributions", dict)()  # from 3.10 on
+        packages |= {name for name in providers.get(module.partition(".")[0], ()) if name}
+        if message["path"] is not None:
+            from cgm_jax.config.named import folder_of
+            from cgm_jax.config.user_code import run_files
+
+            files = run_files(folder_of(message["name"]))
+    versions = {"Python": platform.python_version()}
+    for package in sorted(packages):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[package] = importlib.metadata.version(package)
+    return {"versions": versions, "files": files}
 
 
 def own_package() -> Any:

@@ -41,7 +41,7 @@ class SharedPrograms:
         key = trainer.setup.env, dataclasses.replace(trainer.setup.settings, **host_only)
         if key not in self._programs:
             self._programs[key] = make_programs(trainer)
-        return self._programs[key]._replace(trainer=trainer)
+        return self._programs[key]  # of another trainer the host reads nothing that differs
 
 
 @contextlib.contextmanager

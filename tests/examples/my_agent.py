@@ -41,9 +41,6 @@ class MyAgent(Agent[MyState]):
     def act(self, state: MyState, inputs: jax.Array, key: jax.Array | None = None) -> jax.Array:
         return apply_actor(state.actor, inputs)
 
-    def value(self, state: MyState, inputs: jax.Array, action: jax.Array) -> jax.Array:
-        return jnp.zeros((0, *inputs.shape[:-1]))
-
     def train(self, state: MyState, batches: Minibatch, key: jax.Array) -> tuple[MyState, Info]:
         return jax.lax.scan(self._update, state, batches)
 

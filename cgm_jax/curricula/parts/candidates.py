@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.missing import missing
 from cgm_jax.curricula.protocol import View
 
@@ -47,6 +48,19 @@ def nearest_success(
     known = jnp.isfinite(nearest_closeness)
     count, total = known.sum(axis=1), jnp.sum(known & success[nearest], axis=1)
     return jnp.where(count > 0, total / jnp.maximum(count, 1), missing())
+
+
+def check_neighbours(neighbours: int, practised_episodes: int) -> None:
+    """Check that a success rate can be told from so many episodes.
+
+    Raises:
+        SettingError: it would always be 0 or 1, so that nothing were of medium success.
+    """
+    for name, number in (("neighbours", neighbours), ("practised_episodes", practised_episodes)):
+        if number < 2:
+            raise SettingError(
+                f"{name}: the success of {number} episode is 0 or 1, never medium; give at least 2"
+            )
 
 
 def between(rates: Float[Array, " m"], least: ArrayLike, most: ArrayLike) -> Bool[Array, " m"]:

@@ -36,8 +36,8 @@ class Point(NamedTuple):
         median: of that.
         high: upper quartile.
         reached: whether the median run did.
-        last: how long they were trained; if the median run did not, how long it was trained at
-            least without.
+        last: how long they were trained; if the median run never held 50 %, how long it is known
+            not to have.
     """
 
     low: float

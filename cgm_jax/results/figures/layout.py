@@ -1,8 +1,8 @@
 """Which runs share a panel and a line, so that every setting that differs can be seen.
 
 One setting gives lines their colours, further ones their styles; all others make panels. A setting
-that only some runs have (c_g, kappa) does not part the others from them: runs without CGM appear
-in every panel with whose runs they share all that both have.
+that only some runs have (c_g, kappa) does not set the others apart: a run without it appears in
+every panel whose runs agree with it in all settings that both have.
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 Offline, each process that trains a run leaves a part of it, `offline-run-*`, below
 DIR/tracking/wandb; `wandb sync` joins the parts of a run, which have one id. Online a resumed run
-continues. WANDB_PROJECT, WANDB_ENTITY, WANDB_DIR and the like are heeded.
+continues. WANDB_PROJECT, WANDB_ENTITY, WANDB_DIR and the like are respected.
 """
 
 # The package need not be installed; then this file, its namesake, is taken for it.

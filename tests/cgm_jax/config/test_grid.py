@@ -52,6 +52,12 @@ def test_runs_that_differ_only_in_what_has_no_effect_are_trained_once() -> None:
             "targetnoise0.2_targetnoiseclip0.5",
         )
     ]
+    noise = {"action_noise": [0.1, 0.2]}  # not of an agent that explores by itself
+    assert names({**one, "agent": ["ddpg", "sac"], **noise}) == [
+        "reach_ddpg-her_cgm-cg0.1-kappa32_actionnoise0.1_seed0",
+        "reach_ddpg-her_cgm-cg0.1-kappa32_actionnoise0.2_seed0",
+        "reach_sac-her_cgm-cg0.1-kappa32_seed0",
+    ]
     same_temperature = {"temperature_learning_rate": [0.0], "target_entropy": [-1.0, -2.0]}
     assert names({**one, "agent": ["sac"], **same_temperature}) == [
         "reach_sac-her_cgm-cg0.1-kappa32_seed0"

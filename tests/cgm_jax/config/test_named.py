@@ -1,5 +1,6 @@
 """Code in the user's own files: what it may import, what becomes of its faults, when it may run."""
 
+import errno
 import os
 import py_compile
 import re
@@ -13,6 +14,7 @@ import pytest
 from cgm_jax.config import allowed, named, user_code
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.named import label, load_named, name_now, require_named
+from cgm_jax.config.user_code import digest_of
 
 
 @pytest.fixture(autouse=True)
@@ -175,6 +177,20 @@ def test_what_only_a_config_names_does_not_run(folder: Path) -> None:
     (folder / "code.py").write_text("from pathlib import Path\nPath(__file__ + '.ran').touch()\n")
     refused(f"{folder / 'code.py'}:make", r"code.py was never named by you on this machine")
     assert not (folder / "code.py.ran").exists()
+
+
+def test_a_file_that_cannot_be_read_is_refused_in_one_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreadable(path: Path) -> bytes:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    name_and_load(f"{folder / 'env.py'}:make")
+    assert digest_of(folder / "env.py") is not None
+    monkeypatch.setattr(Path, "read_bytes", unreadable)
+    with pytest.raises(SettingError, match=r"^env: cannot read .*env.py: Permission denied$"):
+        require_named("env", f"{folder / 'env.py'}:make")
+    assert digest_of(folder / "env.py") is None
 
 
 EDITS: dict[str, Callable[[Path], object]] = {

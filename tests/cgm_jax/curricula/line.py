@@ -15,7 +15,7 @@ from brax.envs.base import State
 
 from cgm_jax.config.settings import Settings
 from cgm_jax.config.sizes import Sizes
-from cgm_jax.curricula.protocol import Goals, Outcomes, View
+from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Trainer, make_trainer
 from tests.cgm_jax.probe import tiny
@@ -106,6 +106,13 @@ def view(achieved: Any, filled: int, observation: Any, value: Any = None, draw: 
     """What a curriculum sees, with these goals in replay [C, T + 1, n]."""
     first = State(None, {"observation": jnp.asarray(observation)}, jnp.zeros(()), jnp.zeros(()))
     return View(first, jnp.asarray(achieved, jnp.float32), jnp.asarray(filled), value, draw)
+
+
+def compiled_sample(
+    curriculum: Curriculum[Any], state: Any, key: jax.Array, drawn: Goals, seen: View
+) -> Goals:
+    """What a curriculum samples, compiled as in training, which is sooner than step by step."""
+    return jax.jit(lambda state, key: curriculum.sample(state, key, drawn, seen))(state, key)
 
 
 def outcomes(goals: Goals, success: Any, valid: Any = None, visited: Any = None) -> Outcomes:

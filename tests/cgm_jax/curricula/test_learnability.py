@@ -39,6 +39,13 @@ def test_masks_are_uniform_where_all_always_or_never_succeed(rates: list[float])
     np.testing.assert_array_equal(learnable(jnp.array(rates)), 0.25)
 
 
+def test_a_share_of_masks_is_uniform_whatever_they_score() -> None:
+    history = record_successes(init_history(10, 2), jnp.array([[1, 0], [0, 0]]), jnp.ones(2, bool))
+    report = Learnability(uniform_share=0.4).report(history)
+    # In order 00, 01, 10, 11: rates 1, 0, 1/2, 0, of which only the third scores.
+    np.testing.assert_allclose(report["mask_probability"], [0.1, 0.1, 0.7, 0.1], rtol=1e-6)
+
+
 def test_goals_beyond_a_table_are_refused() -> None:
     with pytest.raises(SettingError, match=r"curriculum: learnability needs a table .* not 11"):
         Learnability().init(sizes(11))

@@ -10,6 +10,7 @@ from cgm_jax.curricula.parts.density import log_density, log_density_of_others
 from tests.cgm_jax.curricula.line import (
     SIZES,
     Line,
+    compiled_sample,
     drawn_goals,
     outcomes,
     same_bits,
@@ -105,7 +106,9 @@ def test_the_cutoff_does_not_follow_goals_of_an_empty_replay(filled: int, cutoff
         draw=lambda key, count: jax.random.uniform(key, (count, 2)),
     )
     state = curriculum.init(SIZES)
-    goals = curriculum.sample(state, jax.random.key(0), drawn_goals(np.ones((20, 2))), seen)
+    goals = compiled_sample(
+        curriculum, state, jax.random.key(0), drawn_goals(np.ones((20, 2))), seen
+    )
     after = curriculum.after_training(state, outcomes(goals, np.ones(20)))
     assert (float(after.lower), float(after.cutoff)) == (-9.0 if filled else -3.0, cutoff)
 
@@ -115,7 +118,8 @@ def sampled(state: MEGAState, drawn_value: float, bonus: float) -> tuple[np.ndar
     achieved = np.random.default_rng(0).normal(size=(50, 5, 2))
     curriculum = MEGA(omega_bonus=bonus, density_samples=300)
     drawn = drawn_goals(np.full((64, 2), 0.5))
-    goals = curriculum.sample(
+    goals = compiled_sample(
+        curriculum,
         state,
         jax.random.key(0),
         drawn,
@@ -147,7 +151,8 @@ def alpha(target: np.ndarray, achieved: np.ndarray, bonus: float) -> float:
     """OMEGA's alpha where the environment draws `target` and replay achieved `achieved`, [m, n]."""
     count, size = target.shape
     curriculum = MEGA(density_samples=count, omega_bonus=bonus)
-    goals = curriculum.sample(
+    goals = compiled_sample(
+        curriculum,
         curriculum.init(SIZES._replace(goal=size)),
         jax.random.key(0),
         drawn_goals(np.zeros((4, size))),
@@ -190,7 +195,8 @@ def test_a_dimension_that_never_varied_does_not_hide_which_goals_are_rare() -> N
     achieved = np.random.default_rng(0).normal(size=(50, 5, 2))
     achieved[..., 1] = 0.5  # as the height of a block that nobody has lifted
     curriculum = MEGA(omega_bonus=1e6, density_samples=100)  # alpha is 0
-    goals = curriculum.sample(
+    goals = compiled_sample(
+        curriculum,
         curriculum.init(SIZES),
         jax.random.key(0),
         drawn_goals(np.full((64, 2), 0.5)),
@@ -217,7 +223,7 @@ def test_what_can_be_reached_is_told_by_the_mean_over_critics() -> None:
     curriculum = MEGA(omega_bonus=-1e3, density_samples=50)  # alpha is 1; the cutoff is -3
     seen = view(achieved, 1, np.zeros((32, 2)), value, lambda _, count: jnp.zeros((count, 2)))
     drawn = drawn_goals(np.tile([2.0, 0.0], (32, 1)))  # -4 in the mean
-    goals = curriculum.sample(curriculum.init(SIZES), jax.random.key(0), drawn, seen)
+    goals = compiled_sample(curriculum, curriculum.init(SIZES), jax.random.key(0), drawn, seen)
     np.testing.assert_array_equal(goals.desired[:, 0], 1.0)
 
 

@@ -1,8 +1,9 @@
-"""Sweeps on the point mass in this process, disturbed while they train."""
+"""Programs in this process: how they end, and sweeps on the point mass disturbed meanwhile."""
 
 import os
 import signal
 from collections.abc import Callable
+from contextvars import copy_context
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,22 @@ import pytest
 
 from cgm_jax import sweep
 from cgm_jax.host import recorder
+from cgm_jax.host.command_line import run_program
 from tests.cgm_jax.sweeps import POINT_MASS
 
 EPOCHS, RUNS = 4, 2
 OPTIONS = ["--preset", "smoke", "--env", POINT_MASS, "--epochs", str(EPOCHS)]
 ALWAYS = ["--checkpoint-seconds", "0"]
+
+
+def outcome(
+    main: Callable[[list[str]], int], arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> tuple[Any, str, str]:
+    """Exit code, output and errors of a program."""
+    with pytest.raises(SystemExit) as end:
+        copy_context().run(run_program, lambda: main(arguments))
+    captured = capsys.readouterr()
+    return end.value.code, captured.out, captured.err
 
 
 def train(out: Path, *options: str) -> int:

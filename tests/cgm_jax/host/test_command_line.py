@@ -4,7 +4,6 @@ import ast
 import json
 import os
 import re
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cgm_jax.evaluate
+import cgm_jax.sweep
+import cgm_jax.train
 from cgm_jax import curricula
 from cgm_jax.config.fields import SettingError
+from cgm_jax.host.asked import asked_for
 from cgm_jax.host.command_line import parse
+from cgm_jax.loop.compiler import Compiler
 from cgm_jax.sweep import SweepOptions
+from tests.cgm_jax.host.in_process import outcome
 from tests.cgm_jax.sweeps import ROOT
 
 SMOKE = ["--preset", "smoke", "--engine", "native"]
@@ -122,11 +127,13 @@ def test_a_sweep_writes_its_config_policies_figures_and_checkpoint(sweep: Path) 
     assert all(path.with_suffix(".json").is_file() for path in checkpoints)
 
 
-def test_a_directory_that_holds_a_sweep_is_refused_and_left_alone(sweep: Path) -> None:
+def test_a_directory_that_holds_a_sweep_is_refused_and_left_alone(
+    sweep: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = (sweep / "metrics.jsonl").read_bytes()
-    result = run("sweep", *SMOKE, "--out", str(sweep))
-    assert result.returncode == 2
-    assert "already holds a sweep" in result.stderr
+    code, _, text = outcome(cgm_jax.sweep.main, [*SMOKE, "--out", str(sweep)], capsys)
+    assert code == 2
+    assert "already holds a sweep" in text
     assert (sweep / "metrics.jsonl").read_bytes() == before
 
 
@@ -140,22 +147,23 @@ def test_evaluate_reports_success_with_its_interval(sweep: Path) -> None:
     assert again.stdout == result.stdout
 
 
-def test_evaluate_refuses_damaged_policies(sweep: Path) -> None:
+def test_evaluate_refuses_damaged_policies(sweep: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = next((sweep / "policies").iterdir())
     intact = path.read_bytes()
     try:
         path.write_bytes(intact[: len(intact) // 2])
-        result = run("evaluate", str(sweep))
-        assert result.returncode == 2
-        assert path.name in result.stderr
+        code, _, text = outcome(cgm_jax.evaluate.main, [str(sweep)], capsys)
+        assert code == 2
+        assert path.name in text
         np.savez(path, something=np.zeros(3))
-        result = run("evaluate", str(sweep))
-        assert result.returncode == 2
-        assert "not a policy file" in result.stderr
+        code, _, text = outcome(cgm_jax.evaluate.main, [str(sweep)], capsys)
+        assert code == 2
+        assert "not a policy file" in text
         path.unlink()  # of a sweep that was stopped before its first policy
-        result = run("evaluate", str(sweep), "--episodes", "5")
-        assert result.returncode == 0
-        assert len(result.stdout.splitlines()) == 2
+        words = [str(sweep), "--episodes", "5"]
+        code, out, _ = outcome(cgm_jax.evaluate.main, words, capsys)
+        assert code == 0
+        assert len(out.splitlines()) == 2
     finally:
         path.write_bytes(intact)
 
@@ -198,100 +206,112 @@ BAD_INPUT = {
     "--set gain=3": "gain: is no setting of curriculum cgm",
     "--colour red": "--colour",
     "--preset huge": "preset: unknown",
+    "--kappa 4 --kappa 7 --colour red": "--colour",
+    "--curriculum goid --neighbours 1": "neighbours: the success of 1 episode is 0 or 1, never",
+    "--curriculum starts --practised-episodes 1": "practised_episodes: the success of 1 episode",
     "--her maybe": "invalid choice 'maybe' for argument '--her'. Expected one of ('o",
     "--hidden-layers 64.5": "hidden_layers: '64.5' is neither widths (256 256) nor several",
     "--out /proc/nowhere": "out: cannot write to /proc/nowhere",
 }
 
 
-def seconds_of_children() -> float:
-    """Processor time of processes that have ended: a busy machine takes longer, not more of it."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
+def bad_words(arguments: str, tmp_path: Path) -> list[str]:
+    """A command line that is to be refused."""
+    options = arguments.split()
+    if "--preset" not in options:
+        options = [*SMOKE[:2], *options]
+    return options if "--out" in options else [*options, "--out", str(tmp_path / "out")]
 
 
 @pytest.mark.parametrize("arguments", BAD_INPUT)
 def test_bad_input_ends_with_one_line_and_code_two_before_anything_compiles(
-    arguments: str, tmp_path: Path
+    arguments: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    before = seconds_of_children()
-    options = arguments.split()
-    if "--preset" not in options:
-        options = [*SMOKE[:2], *options]
-    if "--out" not in options:
-        options += ["--out", str(tmp_path / "out")]
-    result = run("sweep", *options)
-    assert result.returncode == 2
-    assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
+    monkeypatch.setattr(Compiler, "programs", lambda *_, **__: pytest.fail("it compiles"))
+    code, out, text = outcome(cgm_jax.sweep.main, bad_words(arguments, tmp_path), capsys)
+    assert (code, out) == (2, "")
+    (line,) = text.splitlines()
     assert line.startswith("error: ")
     assert BAD_INPUT[arguments] in line
     assert "'None'" not in line
     assert not (tmp_path / "out").exists()
-    assert seconds_of_children() - before < 15
 
 
-def test_an_option_that_is_given_twice_is_told(tmp_path: Path) -> None:
-    words = ["--kappa", "4", "--c_g", "0.1", "--kappa=7", "--c-g", "0.2", "--out", str(tmp_path)]
-    result = run("sweep", *SMOKE[:2], *words, "--dry-run")
-    assert result.returncode == 0
-    first, second = result.stderr.splitlines()[:2]
-    assert first == "--kappa is given twice: only the last counts"
-    assert second == "--c-g is given twice: only the last counts"
-    assert "cg0.2-kappa7" in result.stdout
-    assert "kappa4" not in result.stdout
+@pytest.mark.parametrize("arguments", ["--env slide", "--kappa nan", "--colour red"])
+def test_so_does_a_process(arguments: str, tmp_path: Path) -> None:
+    result = run("sweep", *bad_words(arguments, tmp_path))
+    assert (result.returncode, result.stdout) == (2, "")
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert BAD_INPUT[arguments] in line
+
+
+def test_an_option_that_is_given_twice_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--kappa", "4", "--c_g", "0.1", "--kappa=7", "--c-g", "0.2"]
+    groups = asked_for(parse(SweepOptions, [*SMOKE[:2], *words], "sweep")).groups
+    assert capsys.readouterr().err.splitlines() == [
+        "--kappa is given twice: only the last counts",
+        "--c-g is given twice: only the last counts",
+    ]
+    names = [run.name for group in groups or [] for run in group.runs]
+    assert names
+    assert all("cg0.2-kappa7" in name or "full" in name for name in names)
+
+
+MISSPELT = {
+    "--epcohs 2": "--epcohs, 2; perhaps --epochs",
+    "--epoch 2": "--epoch, 2; perhaps --cycles-per-epoch or --epochs",
+    "--xyzzy": "--xyzzy",
+    "--out x stray words": "stray, words",
+}
+EACH = """
+import json, sys
+from cgm_jax import train
+from cgm_jax.host.command_line import run_program
+
+for words in json.loads(sys.argv[1]):
+    try:
+        run_program(lambda: train.main(words.split()))
+    except SystemExit as end:
+        print(end.code)
+"""
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
-@pytest.mark.parametrize(
-    ("misspelt", "meant"),
-    [
-        (["--epcohs", "2"], "--epcohs, 2; perhaps --epochs"),
-        (["--epoch", "2"], "--epoch, 2; perhaps --cycles-per-epoch or --epochs"),
-        (["--xyzzy"], "--xyzzy"),
-    ],
-)
-def test_a_misspelt_option_is_told_what_it_may_be_meant_to_be(
-    misspelt: list[str], meant: str, encoding: str
-) -> None:
-    words = [sys.executable, "-m", "cgm_jax.train", *misspelt]
-    environment = {**os.environ, "PYTHONIOENCODING": encoding}
-    result = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
-    assert (result.returncode, result.stderr) == (2, f"error: Unrecognized options: {meant}\n")
+def test_a_misspelt_option_is_told_what_it_may_be_meant_to_be(encoding: str) -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", EACH, json.dumps([*MISSPELT])],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        cwd=ROOT,
+    )
+    assert result.stdout.split() == ["2"] * len(MISSPELT)
+    assert result.stderr.splitlines() == [
+        f"error: Unrecognized options: {meant}" for meant in MISSPELT.values()
+    ]
 
 
 @pytest.mark.parametrize("more", [[], ["--dry-run"]])
 def test_a_directory_that_cannot_be_made_is_refused_at_once(
-    more: list[str], tmp_path: Path
+    more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("mine")
     for out in (file, file / "below" / "it"):
-        result = run("train", "--preset", "smoke", "--out", str(out), *more)
-        assert (result.returncode, result.stderr) == (2, f"error: out: {file} is no directory\n")
+        words = ["--preset", "smoke", "--out", str(out), *more]
+        ended = outcome(cgm_jax.train.main, words, capsys)
+        assert ended == (2, "", f"error: out: {file} is no directory\n")
     assert file.read_text() == "mine"
 
 
-def test_train_refuses_a_grid() -> None:
-    result = run("train", "--c-g", "0.1", "0.2")
-    assert result.returncode == 2
-    assert result.stderr.splitlines() == [
-        "error: c_g: takes one value here; cgm_jax.sweep takes several"
-    ]
-
-
-def test_the_line_is_the_same_where_output_is_plain_ascii() -> None:
-    lines = [
-        subprocess.run(
-            [sys.executable, "-m", "cgm_jax.train", "--out", "x", "stray", "words"],
-            capture_output=True,
-            text=True,
-            check=False,
-            env={**os.environ, "PYTHONIOENCODING": encoding},
-        ).stderr
-        for encoding in ("ascii", "utf-8")
-    ]
-    assert lines == ["error: Unrecognized options: stray, words\n"] * 2
+def test_train_refuses_a_grid(capsys: pytest.CaptureFixture[str]) -> None:
+    line = "error: c_g: takes one value here; cgm_jax.sweep takes several\n"
+    assert outcome(cgm_jax.train.main, ["--c-g", "0.1", "0.2"], capsys) == (2, "", line)
 
 
 @pytest.mark.parametrize("option", ["--tyro-write-completion", "--tyro_write-completion"])

@@ -63,6 +63,24 @@ def test_the_number_of_devices_counts_where_bits_depend_on_it(
     assert describe_devices() == shown
 
 
+def test_devices_that_there_are_share_all_cores_though_more_were_asked_for() -> None:
+    code = """
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+jax.devices()  # as in a notebook, where one run was trained before
+from cgm_jax.config.grid import build_groups
+from cgm_jax.host import devices, to_train
+from cgm_jax.machine import allotment
+devices.available_cores = allotment.available_cores = lambda: 8
+jobs, _ = to_train.plan(build_groups("smoke", {"env": ["reach"], "seed": [0, 1, 2, 3]}), None)
+print(len(jax.devices()), allotment.cores_each())
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout == "2 4\n"
+
+
 def test_runs_on_one_core_share_one_device_though_jax_has_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from cgm_jax.config.grid import Group, build_groups, swept_settings
 from cgm_jax.config.sizes import Sizes
@@ -37,20 +38,38 @@ class State:
 def rows_of(groups: list[Group]) -> list[dict[str, Any]]:
     """The first epoch's rows of a sweep in which every run succeeds half of the time."""
     swept = swept_settings(groups)
-    return [row for group in groups for row in _rows_of(group, swept)]
+    return [row for group in groups for row in _rows_of(group, swept, _progress(group))]
 
 
-def _rows_of(group: Group, swept: list[str]) -> list[dict[str, Any]]:
+def _progress(group: Group) -> TrainingProgress:
+    state = group.runs[0].hyper.curriculum.init(SIZES)
+    stacked = State(jax.tree.map(lambda leaf: jnp.stack([leaf] * len(group.runs)), state))
+    return TrainingProgress(stacked, epoch=1)  # pyright: ignore[reportArgumentType]
+
+
+def _rows_of(
+    group: Group, swept: list[str], training: TrainingProgress, **counts: np.ndarray
+) -> list[dict[str, Any]]:
     runs = len(group.runs)
     curriculum = group.runs[0].hyper.curriculum
-    state = curriculum.init(SIZES)
-    counts = {"updates": np.ones(runs, int), "failure": np.zeros(runs, int)}
+    reported = curriculum.report(curriculum.init(SIZES))
+    counts = {"updates": np.ones(runs, int), "failure": np.zeros(runs, int), **counts}
     metrics = {"env_steps": np.full(runs, 100), "success_rate": np.full(runs, 0.5), **counts}
-    metrics |= {name: np.stack([value] * runs) for name, value in curriculum.report(state).items()}
-    stacked = State(jax.tree.map(lambda leaf: jnp.stack([leaf] * runs), state))
-    training = TrainingProgress(stacked, epoch=1)  # pyright: ignore[reportArgumentType]
+    metrics |= {name: np.stack([value] * runs) for name, value in reported.items()}
     facts = [recorder._facts(run, swept) for run in group.runs]
     return recorder._rows(group, facts, training, metrics)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_run_keeps_the_epoch_in_which_it_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder, "describe_failure", lambda *_: "critic")
+    (group,) = build_groups("smoke", {"c_g": [0.1], "kappa": [4.0, 32.0], "curriculum": ["cgm"]})
+    training, told = _progress(group), []
+    for training.epoch in (1, 2, 3):
+        # No update was counted before: cycles without a valid episode have none.
+        failed = np.array([0, training.epoch > 1], int)
+        training.rows += _rows_of(group, [], training, updates=np.zeros(2, int), failure=failed)
+        told.append([row["failed_epoch"] for row in training.rows[-2:]])
+    assert told == [[None, None], [None, 2], [None, 2]]
 
 
 def test_rows_tell_every_swept_setting_whatever_group_they_are_of() -> None:

@@ -164,7 +164,7 @@ def test_a_policys_statistics_count_like_one_epoch_of_the_new_run() -> None:
     )
     valid = jnp.ones(7, bool)
     update = jax.jit(functools.partial(observe, floor=0.0, distance_threshold=0.05))
-    after = update(normaliser, episodes, valid)
+    after = update(normaliser, episodes, valid, episodes.desired_goal)
     seen = TINY.cycles_per_epoch * TINY.environments * PointMass().episode_length
     flat = rows.reshape(-1, 4)
     total = seen + len(flat)
@@ -178,11 +178,10 @@ def test_a_policys_statistics_count_like_one_epoch_of_the_new_run() -> None:
 @pytest.mark.parametrize(
     ("source", "changes", "settings", "message"),
     [
-        ("policy", {"hidden_layers": (8, 8)}, {}, "its layers are .* there and 6x8x8x2 here"),
-        ("policy", {}, {"mask_input": True}, "its layers are .* there and 8x.* here"),
+        ("policy", {"hidden_layers": (8, 8)}, {}, ".* in the source and 6x8x8x2 here"),
         ("directory", {"hidden_layers": (8, 8)}, {}, r"agent.actor.layer_0.bias is float32\[.*\] "),
-        ("directory", {"agent": "sac"}, {}, "it is of another kind of agent: agent.* is only "),
-        ("directory", {"critics": 2}, {}, "it is of another kind of agent: agent.critic"),
+        ("directory", {"agent": "sac"}, {}, "the agents differ: agent.* is only "),
+        ("directory", {"critics": 2}, {}, "the agents differ: agent.critic"),
     ],
 )
 def test_what_does_not_fit_is_named(
@@ -241,3 +240,14 @@ def test_a_checkpoint_with_damaged_bytes_under_the_right_checksum_is_refused(
     spoil(checkpoint)
     with pytest.raises(SettingError, match=rf"^from: {checkpoint} cannot be read: .*Bad CRC-32"):
         read_source(path, SECOND)
+
+
+def test_what_a_policy_file_leaves_out_begins_without_weight() -> None:
+    """Networks that see more than the file's, such as stages, act for the full goal as it does."""
+    programs, hyper = programs_of(mask_input=True), stack([tiny(seed=5)])
+    policy = policy_of("ddpg")
+    check_start(policy, programs, hyper)
+    started = start_from(policy, programs, hyper, programs.start(hyper))
+    kernel = started.agent.actor["params"]["layer_0"]["kernel"]
+    np.testing.assert_array_equal(kernel[0, :6], policy["layer_0_kernel"])
+    np.testing.assert_array_equal(kernel[0, 6:], np.zeros_like(kernel[0, 6:]))

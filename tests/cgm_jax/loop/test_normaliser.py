@@ -18,8 +18,12 @@ def init_normaliser(observation_size: int, goal_size: int) -> Normaliser:
     )
 
 
-def observe(normaliser: Normaliser, episodes: Episodes, valid: Any) -> Normaliser:
-    return module.observe(normaliser, episodes, valid, floor=0.2, distance_threshold=THRESHOLD)
+def observe(
+    normaliser: Normaliser, episodes: Episodes, valid: Any, drawn_goal: Any = None
+) -> Normaliser:
+    drawn_goal = episodes.desired_goal if drawn_goal is None else drawn_goal
+    scales = {"floor": 0.2, "distance_threshold": THRESHOLD}
+    return module.observe(normaliser, episodes, valid, drawn_goal, **scales)
 
 
 def episodes(generator: np.random.Generator, count: int) -> Episodes:
@@ -121,9 +125,9 @@ def test_without_a_floor_an_entry_that_is_always_zero_stays_zero(floor: float) -
     )
     normaliser: Any = init_normaliser(2, 1)
     for _ in range(2):
-        normaliser = module.observe(
-            normaliser, batch, jnp.ones(4, bool), floor=floor, distance_threshold=THRESHOLD
-        )
+        scales = {"floor": floor, "distance_threshold": THRESHOLD}
+        every = jnp.ones(4, bool)
+        normaliser = module.observe(normaliser, batch, every, batch.desired_goal, **scales)
     seen = np.asarray(batch.observation)[..., 1]
     assert normaliser.observation.std[0] == normaliser.goal.std[0] == 1.0  # 20 thresholds
     np.testing.assert_allclose(normaliser.observation.std[1], seen.std(), rtol=1e-5)
@@ -162,3 +166,18 @@ def test_statistics_far_from_the_origin_are_those_of_float64(origin: float) -> N
     np.testing.assert_allclose(
         normaliser.observation.mean - origin, rows.mean(0) - origin, atol=0.05
     )
+
+
+def test_goals_that_the_environment_draws_count_where_a_curriculum_chooses_others() -> None:
+    batch = episodes(np.random.default_rng(6), 30)
+    batch = batch.replace(
+        achieved_goal=0.01 * batch.achieved_goal, desired_goal=jnp.full((30, 1), 0.01)
+    )
+    far = jnp.linspace(-1.0, 1.0, 30)[:, None]
+    normaliser: Any = observe(init_normaliser(2, 1), batch, jnp.ones(30, bool), far)
+    # Of five rows of desired goals in an episode three are chosen ones, in the next one two.
+    chosen = np.where(np.add.outer(np.arange(30), np.arange(5)) % 2 == 0, 0.01, far)
+    rows = np.concatenate([np.asarray(batch.achieved_goal)[:, 1:].ravel(), chosen.ravel()])
+    np.testing.assert_allclose(normaliser.goal.std, rows.std(), rtol=1e-4)
+    near, beyond = network_input(normaliser, jnp.zeros((2, 2)), jnp.array([[0.5], [0.9]]))
+    assert near[2] < beyond[2] < 5.0  # seen as two goals, neither clipped

@@ -1,6 +1,8 @@
 """Cycles that are cut give what whole ones would, wherever they are cut."""
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -114,11 +116,17 @@ def test_preset_gpu_is_cut_on_a_cpu_as_its_agent_can_be() -> None:
         assert (state.unfinished is None) is (parts == WHOLE)
 
 
+@functools.cache
+def cut(env: PointMass) -> tuple[Trainer, Callable[..., TrainingState]]:
+    """A trainer, and its compiled `train`; to be called where `cut_small` is used."""
+    trainer = make_trainer(env, TINY)
+    return trainer, jax.jit(trainer.train)
+
+
 CASES = {
     "ddpg and cgm": (PointMass(), tiny()),
-    "sac and starts": (PointMass(), tiny(agent="sac", curriculum="starts")),
+    "sac, starts and episodes that end": (Walled(), tiny(agent="sac", curriculum="starts")),
     "td3 and episodes that end": (Walled(), tiny(agent="td3", critics=2)),
-    "starts and episodes that end": (Walled(), tiny(curriculum="starts")),
     "whole rollouts": (HalfTold(), tiny()),
 }
 
@@ -127,10 +135,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_a_cycle_in_parts_is_a_rollout_and_its_updates(case: str) -> None:
     env, hyper = CASES[case]
-    trainer = make_trainer(env, TINY)
+    trainer, train = cut(env)
     parts = trainer.parts(hyper)
     assert parts == Parts(rollout=1 if env == HalfTold() else 25, updates=2)
-    train = jax.jit(trainer.train)
     start = trainer.init(hyper)
     halfway = train(start, hyper, parts.rollout)
     assert (int(halfway.unfinished.done), int(halfway.env_steps)) == (parts.rollout, 8 * 25)
@@ -236,8 +243,8 @@ def test_every_part_keeps_the_structure_of_the_state(values: dict[str, Any]) -> 
 
 @pytest.mark.usefixtures("cut_small")
 def test_an_epoch_is_as_many_parts_as_its_cycles_have() -> None:
-    trainer, hyper = make_trainer(PointMass(), TINY), tiny()
-    train, epoch = jax.jit(trainer.train), jax.jit(trainer.epoch)
+    (trainer, train), hyper = cut(PointMass()), tiny()
+    epoch = jax.jit(trainer.epoch)
     start = trainer.init(hyper)
     expected = train(start, hyper, TINY.cycles_per_epoch * trainer.parts(hyper).total)
     for begun in (0, 3):  # a cycle that has begun is the epoch's first
@@ -251,10 +258,9 @@ def test_an_epoch_is_as_many_parts_as_its_cycles_have() -> None:
 
 @pytest.mark.usefixtures("cut_small")
 def test_a_run_that_diverges_in_one_part_learns_in_none_that_follows() -> None:
-    trainer = make_trainer(PointMass(), TINY)
+    trainer, train = cut(PointMass())
     hyper = tiny(critic_learning_rate=1e30)
     parts = trainer.parts(hyper)
-    train = jax.jit(trainer.train)
     before = train(trainer.init(hyper), hyper, parts.rollout)
     failed = train(before, hyper, 1)
     assert int(failed.failure) != 0

@@ -106,3 +106,18 @@ def test_the_normalisers_settings_are_those_of_the_run() -> None:
     after = store(trainer.setup, state, hyper, rollout)
     # The observation never varies: half a distance threshold of 0.05.
     np.testing.assert_allclose(after.normaliser.observation.std, 0.025, rtol=1e-6)
+
+
+def test_the_normaliser_sees_goals_of_the_environment_that_no_episode_was_to_achieve() -> None:
+    env = OneStepProbe((-8.0, 8.0))
+    trainer, hyper = make_trainer(env, TINY), tiny(curriculum="full")
+    first = reset(env, jax.random.key(0), 64)
+    drawn = drawn_goals(env, first)
+    chosen = drawn.replace(desired=jnp.zeros_like(drawn.desired))
+    rollout = roll_out(env, forward, first, chosen)
+    np.testing.assert_array_equal(rollout.drawn_goal, drawn.desired)
+    np.testing.assert_array_equal(rollout.episodes.desired_goal, 0.0)
+    after = store(trainer.setup, trainer.init(hyper), hyper, rollout)
+    # Achieved is 1; of the desired ones half are 0, and half those that were drawn.
+    rows = np.concatenate([np.ones(64), np.zeros(32), np.asarray(drawn.desired)[1::2, 0]])
+    np.testing.assert_allclose(after.normaliser.goal.std, rows.std(), rtol=1e-5)

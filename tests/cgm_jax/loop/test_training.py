@@ -1,4 +1,5 @@
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -8,12 +9,13 @@ import numpy as np
 import pytest
 
 from cgm_jax.config.fields import declared, stack
-from cgm_jax.config.settings import Hyperparameters
+from cgm_jax.config.settings import Hyperparameters, Settings
+from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.evaluation import Metrics
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.own_checks import checked
 from cgm_jax.loop.state import TrainingState
-from cgm_jax.loop.training import Trainer, make_programs, make_trainer
+from cgm_jax.loop.training import make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.probe import (
     TINY,
@@ -25,24 +27,28 @@ from tests.cgm_jax.probe import (
 )
 from tests.examples.point_mass import PointMass
 
-TRAINER = make_trainer(PointMass(), TINY)
+ENVIRONMENT = PointMass()
+TRAINER = make_trainer(ENVIRONMENT, TINY)
 PROGRAMS = make_programs(TRAINER)
 
 
-COMPILED: dict[int, tuple[Callable[..., Any], Callable[..., Any]]] = {}
-
-
-def compiled(trainer: Trainer) -> tuple[Callable[..., Any], Callable[..., Any]]:
+@functools.cache
+def compiled(
+    env: GoalEnvironment, settings: Settings
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Jitted once, so that tests with the same number of runs share a compilation."""
-    jitted = jax.jit(jax.vmap(trainer.init)), jax.jit(jax.vmap(trainer.epoch))
-    return COMPILED.setdefault(id(trainer), jitted)
+    trainer = make_trainer(env, settings)
+    return jax.jit(jax.vmap(trainer.init)), jax.jit(jax.vmap(trainer.epoch))
 
 
 def epochs(
-    runs: list[Hyperparameters], count: int = 2, trainer: Trainer = TRAINER
+    runs: list[Hyperparameters],
+    count: int = 2,
+    env: GoalEnvironment = ENVIRONMENT,
+    settings: Settings = TINY,
 ) -> tuple[TrainingState, list[Metrics]]:
     """Train runs side by side; every leaf of the result has a leading axis of runs."""
-    start, epoch = compiled(trainer)
+    start, epoch = compiled(env, settings)
     hyper, history = stack(runs), []
     state = start(hyper)
     for _ in range(count):
@@ -93,9 +99,8 @@ class Rescaled(PointMass):
 def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float, curriculum: str) -> None:
     # Powers of two, so that float32 scales exactly: about millimetres, and about 1e-5.
     hyper = tiny(seed=5, curriculum=curriculum)
-    _, expected = epochs([hyper], trainer=make_trainer(Rescaled(), TINY))
-    env = Rescaled(unit=unit, distance_threshold=0.1 * unit)
-    _, metrics = epochs([hyper], trainer=make_trainer(env, TINY))
+    _, expected = epochs([hyper], env=Rescaled())
+    _, metrics = epochs([hyper], env=Rescaled(unit=unit, distance_threshold=0.1 * unit))
     for one, other in zip(metrics, expected, strict=True):
         for name in ("success_rate", "subgoal_success", "critic_loss", "actor_loss", "value"):
             np.testing.assert_array_equal(one[name], other[name], name)
@@ -103,9 +108,8 @@ def test_the_unit_of_a_task_changes_no_bit_of_training(unit: float, curriculum: 
 
 def test_a_task_far_from_the_origin_trains_alike() -> None:
     # Float32 resolves 3e-5 there, so alike only as far as rounding lets trajectories agree.
-    _, expected = epochs([tiny(seed=5)], 1, trainer=make_trainer(Rescaled(), TINY))
-    env = Rescaled(origin=500.0)
-    state, metrics = epochs([tiny(seed=5)], 1, trainer=make_trainer(env, TINY))
+    _, expected = epochs([tiny(seed=5)], 1, Rescaled())
+    state, metrics = epochs([tiny(seed=5)], 1, Rescaled(origin=500.0))
     np.testing.assert_allclose(metrics[0]["critic_loss"], expected[0]["critic_loss"], rtol=0.05)
     spread = np.asarray(state.replay.episodes.desired_goal[0, :16]).std(0)
     statistics: Any = state.normaliser.goal
@@ -113,7 +117,7 @@ def test_a_task_far_from_the_origin_trains_alike() -> None:
 
 
 def test_metrics_count_the_episodes_that_moved() -> None:
-    _, still = epochs([tiny()], 1, make_trainer(Rescaled(unit=0.0), TINY))
+    _, still = epochs([tiny()], 1, Rescaled(unit=0.0))
     np.testing.assert_array_equal(still[0]["moved_share"], 0.0)
 
 
@@ -158,14 +162,12 @@ def test_hyperparameters_that_a_sweep_varies_change_the_run() -> None:
     instances = [base, base.curriculum, base.agent, base.relabelling]
     fields = [item for instance in instances for item in declared(instance)]
     assert {*changes, *later} == {item.name for item in fields if item.metadata["traced"]}
-    runs = [
-        base,
-        *(tiny(**{"c_g": 0.4, "kappa": 1.0, name: value}) for name, value in changes.items()),
-    ]
-    state, _ = epochs(runs, count=1)
-    actors = bits(state.agent.actor)
-    for i, name in enumerate(changes, start=1):
-        assert any((leaf[i] != leaf[0]).any() for leaf in actors), name
+    names = [*changes]
+    for pair in zip(names[::2], names[1::2], strict=True):  # three runs, as other tests have
+        changed = [tiny(**{"c_g": 0.4, "kappa": 1.0, name: changes[name]}) for name in pair]
+        state, _ = epochs([base, *changed], count=1)
+        for i, name in enumerate(pair, start=1):
+            assert any((leaf[i] != leaf[0]).any() for leaf in bits(state.agent.actor)), name
 
 
 def test_sampled_goals_change_after_every_reset() -> None:
@@ -202,10 +204,7 @@ def test_chunks_give_the_bits_of_one_epoch() -> None:
 
 
 def test_metrics_count_steps_updates_and_masks() -> None:
-    runs = [
-        tiny(c_g=0.5, kappa=1.0),
-        tiny(),
-    ]
+    runs = [tiny(c_g=0.5, kappa=1.0), tiny(), tiny(seed=1)]
     state, history = epochs(runs)
     metrics = history[-1]
     np.testing.assert_array_equal(metrics["env_steps"], 2 * 2 * 8 * 25)
@@ -238,8 +237,7 @@ def test_the_curriculum_follows_the_sub_goal_history() -> None:
 
 def test_episodes_with_broken_physics_are_dropped_and_counted() -> None:
     settings = dataclasses.replace(TINY, environments=16)
-    trainer = make_trainer(FaultyProbe((1.0, -1.0)), settings)
-    state, history = epochs([tiny()], count=1, trainer=trainer)
+    state, history = epochs([tiny()], 1, FaultyProbe((1.0, -1.0)), settings)
     dropped, kept = float(history[0]["physics_warnings"][0]), int(state.replay.inserted[0])
     assert 0 < kept < 32
     assert dropped > 32 - kept  # evaluation episodes count as well

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -5,7 +6,7 @@ import pytest
 from cgm_jax import benchmark
 from cgm_jax.config.fields import SettingError
 from cgm_jax.measuring import checkouts
-from cgm_jax.measuring.checkouts import find_commit, prepare, this_checkout, worktree
+from cgm_jax.measuring.checkouts import Checkout, find_commit, prepare, this_checkout, worktree
 from tests.cgm_jax.measuring.stand_in import commit, git, write_checkout
 
 
@@ -29,6 +30,16 @@ def refusal(monkeypatch: pytest.MonkeyPatch, temporary: Path, against: str) -> s
         benchmark.main([f"--against={against}"])
     assert list(temporary.iterdir()) == []
     return str(refused.value)
+
+
+def test_a_checkouts_packages_come_before_those_of_the_users_own_path(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/modules/jax")
+    paths = Checkout(tmp_path, "abcdef").environment()["PYTHONPATH"].split(os.pathsep)
+    assert paths == [str(tmp_path), "/modules/jax"]
+    monkeypatch.delenv("PYTHONPATH")
+    assert Checkout(tmp_path, "abcdef").environment()["PYTHONPATH"] == str(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["nowhere", "", "--all", "HEAD~2", "HEAD:cgm_jax", "HEAD HEAD"])

@@ -10,8 +10,9 @@ import pytest
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.measuring import checkouts
+from cgm_jax.measuring.child import MeasurementError
 from cgm_jax.measuring.comparison import compare, measurement, parse_options
-from cgm_jax.measuring.training_process import Cost, MeasurementError
+from cgm_jax.measuring.training_process import Cost
 from tests.cgm_jax.measuring.stand_in import commit, git, write_checkout
 from tests.cgm_jax.sweeps import ROOT
 

@@ -92,7 +92,7 @@ def test_an_epoch_with_which_the_sweep_ends_counts(
     monkeypatch.setattr(training_process, "POLL_SECONDS", 2.0)  # it has ended when that is noticed
     with training(checkout, tmp_path, "--epochs", "1") as process:
         assert process.train_epoch().env_steps == 100
-        with pytest.raises(MeasurementError, match=r"at abcdef trains .* for 1 epochs only"):
+        with pytest.raises(MeasurementError, match=r"at abcdef trains .* for 1 epoch only"):
             process.train_epoch()
 
 

@@ -56,6 +56,25 @@ def test_transitions_are_uniform_over_episodes_and_steps() -> None:
     )
 
 
+@pytest.mark.parametrize("k", [0.0, 1e6])
+@pytest.mark.parametrize("filtered", [False, True])
+def test_transitions_are_uniform_where_episodes_end_early(filtered: bool, k: float) -> None:
+    _, episodes = make_replay()
+    episodes = episodes.replace(length=jnp.array([1, 10, 11, 4, 7]))
+    replay = init_replay(EPISODES + 3, LENGTH, 2, GOAL, 2, may_end=True)
+    replay = insert(replay, episodes, jnp.ones(EPISODES, bool))
+    future = Future(her_k=k, her_filter=filtered)
+    drawn = future.sample(jax.random.key(1), replay, COUNT, THRESHOLD)
+    episode, step = np.asarray(drawn.observation).astype(int).T
+    counts = np.zeros((EPISODES, LENGTH))
+    np.add.at(counts, (episode, step), 1)
+    taken = np.arange(LENGTH) < np.array([[1], [10], [10], [4], [7]])
+    assert (counts[~taken] == 0).all()
+    expected = COUNT / 32
+    chi_square = np.sum((counts[taken] - expected) ** 2 / expected)
+    assert chi_square < 61.1  # 99.9 % quantile at 31 degrees of freedom
+
+
 def test_without_her_goals_and_masks_are_the_episodes_own() -> None:
     transitions, episodes = draw(OWN)
     episode, step = transitions["observation"].astype(int).T

@@ -154,7 +154,12 @@ def test_by_chance_the_goal_is_pursued_instead() -> None:
         np.testing.assert_array_equal(pursued.any(axis=1), guided)
 
 
-def test_without_hindsight_its_share_has_no_effect() -> None:
+def test_without_hindsight_no_stage_is_pursued_nor_served() -> None:
     assert Relay().idle() == frozenset()
-    assert "relay_share" in Relay(her=False).idle()
-    assert "relay_chance" not in Relay(her=False).idle()
+    relay = Relay(her=False, relay_chance=1.0, relay_share=1.0)
+    assert {"relay_share", "relay_chance"} <= relay.idle()
+    observation = jnp.array([[0.2, 0.0, -1.0, 0.0, 0.0]])  # far from the load
+    pursued = relay.pursued(Crane().stages, observation, jnp.zeros((1, 2)), jnp.zeros(1))
+    np.testing.assert_array_equal(pursued, 0.0)
+    assert draw(relay)[0].subgoal is not None
+    np.testing.assert_array_equal(draw(relay)[0].subgoal, 0.0)

@@ -95,7 +95,7 @@ def test_rows_are_those_of_each_run_and_epoch_in_order() -> None:
         (rows, ["a", "b"], 10**18),
         ([rows[2], rows[3], rows[0], rows[1]], ["a", "b"], 2),
     ]:
-        with pytest.raises(ValueError, match="not one for each of its runs and epochs"):
+        with pytest.raises(ValueError, match="there is not one row per run and epoch"):
             check_rows(others, names, epochs)
 
 

@@ -4,13 +4,14 @@ import json
 import os
 import subprocess
 import sys
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.config.named import load_named, name_now
+from cgm_jax.config.named import load_named, name_now, note_hosted
 from cgm_jax.storage import provenance
 from cgm_jax.storage.layout import CONFIG
 from cgm_jax.storage.run_directory import RunDirectory
@@ -146,3 +147,25 @@ def test_what_a_sweep_was_not_trained_with_cannot_be_named(
     _, directory = own_sweep(tmp_path)
     with pytest.raises(SettingError, match=f"^{kind}: .* was trained with .*, not {text}$"):
         directory.config.moved({kind: [text]})
+
+
+def test_what_a_hosted_task_runs_on_is_recorded_and_its_changes_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, file = "gymnasium:mine:Reach-v0", tmp_path / "mine.py"
+    file.write_text("X = 1\n")
+    groups = build_groups("smoke", {"env": [name]})
+    note_hosted(name, {str(file): sha256(b"X = 1\n").hexdigest()}, {"mujoco": "3.3.2"})
+    monkeypatch.setenv("CGM_JAX_GYMNASIUM_PYTHON", "/other/bin/python")
+    with RunDirectory.claimed(tmp_path / "out", fresh=True) as found:
+        found.config.write(groups, "smoke", "cpu")
+    assert found.config.changes_since_begun("cpu", groups, {}) == []
+    file.write_text("X = 2\n")
+    note_hosted(name, {}, {"mujoco": "3.3.7"})
+    monkeypatch.delenv("CGM_JAX_GYMNASIUM_PYTHON")
+    changed_file, *others = found.config.changes_since_begun("cpu", groups, {})
+    assert changed_file.startswith(f"{file} with SHA-256 ")
+    assert others == [
+        "CGM_JAX_GYMNASIUM_PYTHON /other/bin/python (now none)",
+        f"mujoco of {name} 3.3.2 (now 3.3.7)",
+    ]

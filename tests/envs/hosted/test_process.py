@@ -1,11 +1,14 @@
 """The process of a Gymnasium environment: how it is asked, and how it ends."""
 
+import importlib.metadata
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
 import time
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,14 @@ SEEDS = np.array([3, 1, 4], np.uint32)
 
 def started(env_id: str, module: str = MODULE) -> HostedProcess:
     return HostedProcess(f"gymnasium:{module}:{env_id}", env_id, module, BY_PROGRAM)
+
+
+def test_what_it_runs_on_is_known() -> None:
+    runs_on = started("tests/Dense-v0").facts["runs_on"]
+    assert runs_on["versions"]["gymnasium"] == importlib.metadata.version("gymnasium")
+    assert runs_on["versions"]["Python"] == platform.python_version()
+    file = ROOT / "tests" / "envs" / "hosted" / "variants.py"
+    assert runs_on["files"][str(file)] == sha256(file.read_bytes()).hexdigest()
 
 
 def interrupted(*_: Any) -> Any:
