@@ -65,7 +65,7 @@ def api(room: Path) -> str:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links beyond docs/ lead to their pages of the site; comments that tests read are not shown."""
+    """Links beyond docs/ lead to pages of the site; comments that tests read are not shown."""
 
     def here(match: re.Match[str]) -> str:
         text, target, anchor = match.groups()
