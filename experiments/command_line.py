@@ -10,7 +10,7 @@ def paths(program: str, description: str | None, *names: str) -> list[Path]:
     Args:
         program: the module's name.
         description: its docstring.
-        names: what each path is called in the help.
+        names: what each path is called in the help; a `recording` is a file that must be there.
     """
     parser = argparse.ArgumentParser(
         prog=f"python -m {program}",
@@ -19,4 +19,7 @@ def paths(program: str, description: str | None, *names: str) -> list[Path]:
     )
     for name in names:
         parser.add_argument(name, metavar=name.upper(), type=Path)
-    return list(vars(parser.parse_args()).values())
+    given = vars(parser.parse_args())
+    if "recording" in given and not given["recording"].is_file():
+        parser.error(f"recording: there is no file {given['recording']}")
+    return list(given.values())

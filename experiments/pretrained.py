@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 
 from cgm_jax import train
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import parse, run_program
 from cgm_jax.pretrained import FOLDER, NAMES, RECORD
@@ -26,9 +27,9 @@ from cgm_jax.storage.policies import load_policy
 from cgm_jax.storage.run_directory import RunDirectory
 
 OPTIONS = {
-    "reach": "--epochs 8",
-    "push": "--curriculum full --epochs 40",
-    "pick_and_place": "--epochs 41",
+    "reach": ["--epochs", "8"],
+    "push": ["--curriculum", "full", "--epochs", "40"],
+    "pick_and_place": ["--epochs", "41"],
 }
 """How each is trained; `--preset cpu --env TASK` comes first."""
 
@@ -57,12 +58,16 @@ class PretrainedOptions:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(PretrainedOptions, arguments, "python -m experiments.pretrained")
+    for task in options.tasks:
+        if task not in OPTIONS:
+            raise SettingError(f"tasks: {task!r} is none of {', '.join(OPTIONS)}")
+    options.into.mkdir(parents=True, exist_ok=True)
     path = options.into / RECORD.name
     record = json.loads(path.read_text()) if path.exists() else {}
     for task in options.tasks:
         directory = RunDirectory(options.out / task)
-        command = f"--preset cpu --env {task} {OPTIONS[task]} --out {directory.path}"
-        if not options.trained and (code := train.main(command.split())):
+        words = ["--preset", "cpu", "--env", task, *OPTIONS[task], "--out", str(directory.path)]
+        if not options.trained and (code := train.main(words)):
             return code
         record[task], arrays = chosen(task, directory)
         with replacing(options.into / f"{task}.npz") as file:

@@ -1,8 +1,6 @@
 """`python -m experiments.gpu.cases PART CASE OUT [--rehearse]`: one case; its figures as JSON."""
 
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,10 +10,13 @@ import jax
 import numpy as np
 
 from cgm_jax.config.grid import Group, build_groups
+from cgm_jax.host.command_line import refuse
+from cgm_jax.host.exit_codes import FINISHED, ExitCode
 from cgm_jax.host.memory import estimate_memory
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.loop.environment import make_environment
 from cgm_jax.loop.training import make_programs, make_trainer
+from cgm_jax.measuring.child import MeasurementError, output_of
 from cgm_jax.measuring.engines import engine_rate
 from cgm_jax.measuring.figures import seconds
 from cgm_jax.measuring.start import measure_starts
@@ -37,6 +38,11 @@ SMALL: dict[str, list[Any]] = {
 def figure(name: str, value: float, unit: str = "") -> dict[str, Any]:
     """A row of gpu.csv, but for what it is about."""
     return {"figure": name, "value": float(f"{value:.4g}"), "unit": unit}
+
+
+def plain(value: float | None) -> float:
+    """A metric that may be missing, as null, as of a run that diverged."""
+    return np.nan if value is None else value
 
 
 def rate(engine: str, case: str, rehearse: bool) -> Figures:
@@ -63,7 +69,7 @@ def updates(case: str, rehearse: bool) -> Figures:
 
 def start(case: str, rehearse: bool) -> Figures:
     """From the command to the end of the first training cycle."""
-    return [figure(one.name, one.value, one.unit) for one in measure_starts()]
+    return [figure(one.name, one.value, one.unit) for one in measure_starts(1, uncounted=0)]
 
 
 def runs(case: str, rehearse: bool) -> Figures:
@@ -107,14 +113,8 @@ def parity(engine: str, case: str, rehearse: bool, out: Path) -> Figures:
     files = {name: out / f"parity-{case}-{name}.npz" for name in (engine, "native")}
     for name, path in files.items():
         on_cpu = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""} if name == "native" else {}
-        subprocess.run(
-            [
-                *(sys.executable, "-m", "experiments.gpu.parity"),
-                *(name, case, str(episodes), str(path)),
-            ],
-            env={**os.environ, **on_cpu},
-            check=True,
-        )
+        words = [name, case, str(episodes), str(path)]
+        output_of([sys.executable, "-m", "experiments.gpu.parity", *words], on_cpu)
     here, there = (dict(np.load(path)) for path in files.values())
     strayed = np.linalg.norm(here["grips"] - there["grips"], axis=-1)
     return [
@@ -134,7 +134,7 @@ def learning(case: str, rehearse: bool, out: Path) -> Figures:
         for name, (value,) in SMALL.items():
             words += [f"--{name.replace('_', '-')}", str(value)]
     command = [sys.executable, "-m", "cgm_jax.train", *words]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    output_of(command, accepted=FINISHED)
     lines = (directory / "metrics.jsonl").read_text().splitlines()
     rows = [json.loads(line) for line in lines]
     held = first_to_hold(rows, 0.9) or {"env_steps": np.nan, "wall_s": np.nan}
@@ -142,7 +142,7 @@ def learning(case: str, rehearse: bool, out: Path) -> Figures:
         figure("environment steps to 90 % held", held["env_steps"]),
         figure("seconds of training to 90 % held", held["wall_s"], "s"),
         figure("environment steps trained", rows[-1]["env_steps"]),
-        figure("success in the end", rows[-1]["success_rate"]),
+        figure("success in the end", plain(rows[-1]["success_rate"])),
     ]
 
 
@@ -177,4 +177,7 @@ PARTS: dict[str, Callable[[str, bool, Path], Figures]] = {
 if __name__ == "__main__":
     part, case, out = sys.argv[1:4]
     prepare_jax()
-    print(json.dumps(PARTS[part](case, "--rehearse" in sys.argv, Path(out))))
+    try:
+        print(json.dumps(PARTS[part](case, "--rehearse" in sys.argv, Path(out))))
+    except MeasurementError as error:
+        refuse(str(error), ExitCode.FAILED)

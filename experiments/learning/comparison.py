@@ -25,7 +25,7 @@ DOING_NOTHING = Path(__file__).parents[1] / "results" / "doing_nothing" / "doing
 
 
 def comparison(runs: Runs) -> Figure:
-    """Median over seeds, and every seed or quartiles; dashed without masks.
+    """Median over seeds, from ten on with quartiles, and every seed; dashed without masks.
 
     DDPG in warm colours, DDPG + HER in cold ones, in greys where hindsight comes from all episodes;
     dotted lines are the other ways to draw masks. The numbers behind CGM are c_g and kappa. A thin
@@ -54,7 +54,7 @@ def comparison(runs: Runs) -> Figure:
 def _draw(panel: Axes, seeds: Mapping[int, RecordedRun], look: tuple[str, str], label: str) -> None:
     """A line for the median of the runs, as far as all of them were trained.
 
-    With quartiles from ten seeds on; below, a thin line for every seed, with a dot where it left.
+    With quartiles from ten seeds on; and a thin line for every seed, with a dot where it left.
     """
     colour, style = look
     label = f"{label}, {counted(len(seeds), 'seed')}"
@@ -62,9 +62,9 @@ def _draw(panel: Axes, seeds: Mapping[int, RecordedRun], look: tuple[str, str], 
     there = np.isfinite(curves).all(axis=0)
     if len(seeds) >= SEEDS_OF_A_CLAIM:
         draw_quartiles(panel, steps[there], curves[:, there], label, colour, style)
-        return
-    median = np.median(curves[:, there], axis=0)
-    panel.plot(steps[there], median, style, color=colour, label=label)
+    else:
+        median = np.median(curves[:, there], axis=0)
+        panel.plot(steps[there], median, style, color=colour, label=label)
     if len(seeds) == 1:
         return
     for run, curve in zip(seeds.values(), curves, strict=True):

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from cgm_jax.config.components import ROOMS, component
 from cgm_jax.config.fields import declared
 from cgm_jax.config.grid import build_groups
+from cgm_jax.config.presets import Grid
 from cgm_jax.config.settings import LOOP_FIELDS
 from cgm_jax.host.command_line import parse
 from cgm_jax.host.training_options import chosen_values, seed_values
@@ -75,11 +76,20 @@ def options_of(settings: Settings, preset: str = PRESET) -> list[str]:
     return options
 
 
-def planned_settings(settings: Settings, preset: str = PRESET) -> list[dict[str, Any]]:
+def planned_settings(settings: Settings) -> list[dict[str, Any]]:
     """Settings that have an effect on each run of a planned sweep."""
-    program = "python -m cgm_jax.sweep"
-    parsed = parse(SweepOptions, options_of(settings, preset), program)
-    groups = build_groups(preset, seed_values(parsed, chosen_values(parsed)))
+    return settings_of_grid(grid_of(settings))
+
+
+def grid_of(settings: Settings) -> Grid:
+    """The values that a planned sweep asks for, as `cgm_jax.sweep` understands its options."""
+    parsed = parse(SweepOptions, options_of(settings), "python -m cgm_jax.sweep")
+    return seed_values(parsed, chosen_values(parsed))
+
+
+def settings_of_grid(grid: Grid, preset: str = PRESET) -> list[dict[str, Any]]:
+    """Settings that have an effect on each run of a grid."""
+    groups = build_groups(preset, grid)
     return [settings_of(run) for group in groups for run in group.runs]
 
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgm_jax.config.fields import parts
-from cgm_jax.config.grid import Run, run_of
+from cgm_jax.config.grid import Run, idle_settings, run_of
 from cgm_jax.config.named import is_own
 from cgm_jax.results.statistics import holds
 from cgm_jax.storage.formats import upgraded
@@ -204,7 +203,7 @@ def settings_from(values: Mapping[str, Any]) -> Row:
 
 def settings_of(run: Run) -> Row:
     """Settings that have an effect on a run, as JSON gives them back and any checkout has them."""
-    idle = frozenset().union(*(part.idle() for part in parts(run.hyper)))
+    idle = idle_settings(run.hyper)
     values = {name: value for name, value in run.values.items() if name not in idle}
     return json.loads(FOLDERS_ABOVE.sub("", json.dumps(values)))
 

@@ -31,6 +31,7 @@ from experiments.learning.tables import (
     left_early,
     quartiles_to_hold,
     runs_by_setting,
+    wall_s_to_hold,
     window_means,
 )
 from experiments.markdown import Table, percent, without_constant_columns
@@ -130,6 +131,37 @@ def speed(question: str) -> Table:
     return without_constant_columns(Table(header, rows), 3)
 
 
+def seconds_to_hold(question: str) -> Table:
+    """Seconds since training began until a question's runs hold 50 and 90 %."""
+    rows = []
+    for setting, seeds in runs_by_setting(runs_of(question)).items():
+        row = [setting.task, setting.algorithm, setting.curriculum + _which(list(seeds))]
+        for level in LEVELS:
+            seconds = [wall_s_to_hold(run, level) for run in seeds.values()]
+            row += [", ".join(map(_whole, seconds)), _whole(median(seconds))]
+        rows.append(row)
+    header = ["task", "algorithm", "masks"]
+    for level in LEVELS:
+        header += [f"{percent(level)} held, seconds by seed", "median"]
+    return without_constant_columns(Table(header, rows), 3)
+
+
+def trained_twice(first: str, second: str, level: str) -> Table:
+    """When two trainings of the same settings, of one question each, hold a level (in percent)."""
+    trainings = [runs_by_setting(runs_of(question)) for question in (first, second)]
+    rows = []
+    for setting in trainings[1]:
+        if setting in trainings[0]:
+            row = [setting.task, setting.algorithm, setting.curriculum]
+            for training in trainings:
+                row += _held(list(training[setting].values()), int(level) / 100)
+            rows.append(row)
+    header = ["task", "algorithm", "masks"]
+    for training in ("first", "second"):
+        header += [f"{level} % held, {training} training, by seed", "median (quartiles)"]
+    return without_constant_columns(Table(header, rows), 3)
+
+
 def _which(seeds: Sequence[int]) -> str:
     """Which seeds, where they are not the first ones."""
     if list(seeds) == list(range(len(seeds))):
@@ -167,6 +199,10 @@ def _number(value: float) -> str:
     if math.isnan(value):
         return "?"
     return f"{round(value, 1):g}" if math.isfinite(value) else "never"
+
+
+def _whole(value: float) -> str:
+    return f"{value:.0f}" if math.isfinite(value) else "never"
 
 
 def _by_seed(values: Sequence[float]) -> str:
@@ -336,6 +372,8 @@ TABLES: dict[str, Callable[..., Table]] = {
     "planned": planned,
     "differences_from_the_paper": differences_from_the_paper,
     "speed": speed,
+    "seconds_to_hold": seconds_to_hold,
+    "trained_twice": trained_twice,
     "paired": paired,
     "grid": grid,
     "mask_stages": mask_stages,

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from statistics import median
 
-from cgm_jax.results.statistics import first_to_hold
 from experiments.learning.plans import read_plans, runs_of
 from experiments.learning.records import (
     SWEEPS,
@@ -20,6 +19,7 @@ from experiments.learning.tables import (
     env_steps_to_hold,
     in_order_of_seeds,
     runs_by_setting,
+    wall_s_to_hold,
     window_means,
 )
 from experiments.markdown import NOT_YET, counted, in_words, percent
@@ -177,6 +177,23 @@ def least_ratio(one: str, other: str, level: str) -> str:
     return f"{math.floor(10 * min(ratios)) / 10:g}"
 
 
+def saved_less(one: str, than: str, other: str, than_other: str, level: str) -> str:
+    """In how many seeds `one` saves fewer steps against `than` than `other` against `than_other`.
+
+    A run of `than_other` that never holds the success counts as if it did so where it ended.
+    """
+    sweeps = [{run.seed: run for run in _runs(name)} for name in (one, than, other, than_other)]
+    if not all(sweeps):
+        return NOT_YET
+    seeds = [seed for seed in sweeps[0] if all(seed in runs for runs in sweeps)]
+    steps = [_finite_steps([runs[seed] for seed in seeds], level) for runs in sweeps[:3]]
+    last = [sweeps[3][seed] for seed in seeds]
+    steps.append([min(env_steps_to_hold(run, int(level) / 100), run.budget) for run in last])
+    rows = zip(*steps, strict=True)
+    fewer = [before - now < then_before - then for now, before, then, then_before in rows]
+    return _of_seeds(sum(fewer), seeds)
+
+
 def _held(runs: Sequence[RecordedRun], level: float) -> str:
     return _of_seeds(sum(math.isfinite(env_steps_to_hold(run, level)) for run in runs), runs)
 
@@ -257,17 +274,17 @@ def seconds(sweep: str, level: str) -> str:
     if not runs:
         return NOT_YET
     _finite_steps(runs, level)
-    if not all(run.alone for run in runs):
-        raise ValueError(f"{sweep}: runs trained side by side have no seconds of their own")
-    rows = [first_to_hold(run.rows, int(level) / 100) for run in runs]
-    walls = [row["wall_s"] for row in rows if row]
+    walls = [wall_s_to_hold(run, int(level) / 100) for run in runs]
     return f"{min(walls):.0f} to {max(walls):.0f}"
 
 
-def pace(task: str) -> str:
-    """Seconds for a thousand environment steps of the preset `cpu`, start to finish; the median."""
-    rows = [row for row in read_table(SWEEPS.parent / "seconds/seconds.csv") if row["task"] == task]
-    return f"{median(1000 * float(row['held_s']) / int(row['env_steps']) for row in rows):.2g}"
+def pace(question: str) -> str:
+    """Seconds of an epoch in the median, of the run with the least and of that with the most."""
+    medians = []
+    for run in runs_of(question):
+        walls = [row["wall_s"] for row in run.rows]
+        medians.append(median(after - before for before, after in itertools.pairwise(walls)))
+    return f"{min(medians):.1f} to {max(medians):.1f}" if medians else NOT_YET
 
 
 def probability_of_full_goal(sweep: str) -> str:
@@ -330,6 +347,7 @@ VALUES: dict[str, Callable[..., str]] = {
     "held_by": held_by,
     "sooner": sooner,
     "least_ratio": least_ratio,
+    "saved_less": saved_less,
     "held_at": held_at,
     "points_sooner": points_sooner,
     "budget": budget,

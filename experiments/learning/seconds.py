@@ -23,6 +23,7 @@ import tyro
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.measuring.workload import choose_cpu
 from cgm_jax.results.statistics import first_to_hold
 from cgm_jax.storage.layout import METRICS
 from cgm_jax.storage.provenance import provenance
@@ -66,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(SecondsOptions, arguments, "python -m experiments.learning.seconds")
     options.check()
+    choose_cpu()
     path = options.out / "seconds.csv"
     rows: list[Row] = list(read_table(path)) if path.exists() else []
     # Asked for once, before the table is another than the commit's.
@@ -99,13 +101,19 @@ def raw_rates(task: str) -> tuple[float, float]:
     prepare_jax()
     from cgm_jax.measuring.figures import medians
     from cgm_jax.measuring.rollouts import rollout_seconds
-    from cgm_jax.measuring.updates import PRODUCT_OPERATIONS, large_product, update_operations
+    from cgm_jax.measuring.updates import (
+        PRODUCT_OPERATIONS,
+        inputs_of,
+        large_product,
+        update_operations,
+    )
     from cgm_jax.measuring.workload import cpu_group
 
     simulations, repeats, group = 64, 5, cpu_group(task)
     _, raw = rollout_seconds(task, simulations, repeats)
     (product,) = medians([large_product()], repeats)
-    operations = update_operations(group.runs[0].hyper.agent, group.settings.batch_size)
+    agent, batch_size = group.runs[0].hyper.agent, group.settings.batch_size
+    operations = update_operations(agent, batch_size, inputs_of(group))
     return 50 * simulations / raw, PRODUCT_OPERATIONS / product / operations
 
 

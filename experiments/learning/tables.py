@@ -70,6 +70,18 @@ def env_steps_to_hold(run: RecordedRun, level: float) -> float:
     return row["env_steps"] if row else math.inf
 
 
+def wall_s_to_hold(run: RecordedRun, level: float) -> float:
+    """Seconds since a run's training began until it holds a success; infinite if it never does.
+
+    Raises:
+        ValueError: it left before it could, or has no seconds of its own.
+    """
+    if not run.alone:
+        raise ValueError(f"{run.sweep}: runs trained side by side have no seconds of their own")
+    steps = env_steps_to_hold(run, level)
+    return next((row["wall_s"] for row in run.rows if row["env_steps"] == steps), math.inf)
+
+
 def is_settled(run: RecordedRun, level: float) -> bool:
     """Whether a run was trained far enough to tell if it holds a success."""
     leave_at = run.settings["leave_at"]
@@ -150,14 +162,14 @@ def quartiles_to_hold(runs: Runs, level: float) -> list[float]:
 def _arrivals(runs: Runs, level: float) -> Row:
     """When runs hold a success; the names end where the level goes."""
     steps = [env_steps_to_hold(run, level) for run in runs]
-    rows = [first_to_hold(run.rows, level) for run in runs]
-    seconds = [row["wall_s"] if row else math.inf for row in rows]
+    alone = all(run.alone for run in runs)
+    seconds = [wall_s_to_hold(run, level) for run in runs] if alone else []
     low, median, high = quartiles_to_hold(runs, level)
     values = (
-        sum(row is not None for row in rows),
+        sum(map(math.isfinite, steps)),
         " ".join(map(dash_or_number, steps)),
         *map(dash_or_number, (median, low, high)),
-        " ".join(map(dash_or_number, seconds)) if all(run.alone for run in runs) else "",
+        " ".join(map(dash_or_number, seconds)),
     )
     return dict(zip(ARRIVALS, values, strict=True))
 

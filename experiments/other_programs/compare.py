@@ -62,6 +62,9 @@ class CompareOptions:
             SettingError: one of them is not known, or out of its range; or the directory holds runs
                 of other CPU seconds.
         """
+        for name in ("arms", "tasks", "seeds"):
+            if not getattr(self, name):
+                raise SettingError(f"{name}: needs at least one value")
         for name, known in (("arms", NAMES), ("tasks", tuple(TASKS))):
             for value in getattr(self, name):
                 if value not in known:

@@ -115,9 +115,9 @@ def compare(recording: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]
 
 def main(recording: Path, out: Path) -> None:
     """Write both tables and print the first."""
-    out.mkdir(parents=True, exist_ok=True)
     with np.load(recording) as file:
         tables = compare(dict(file))
+    out.mkdir(parents=True, exist_ok=True)
     for name, rows in zip(("replay", "observations"), tables, strict=True):
         write_table(out / f"{name}.csv", rows)
     for row in tables[0]:

@@ -69,6 +69,8 @@ if __name__ == "__main__":
         sys.exit(__doc__)
     with np.load(sys.argv[1]) as file:
         table = compare(dict(file))
-    write_table(Path(sys.argv[2]) / "sensitivity.csv", table)
+    out = Path(sys.argv[2])
+    out.mkdir(parents=True, exist_ok=True)
+    write_table(out / "sensitivity.csv", table)
     for row in table:
         print(*row.values(), sep="\t")

@@ -46,14 +46,27 @@ class HostedSpeedOptions:
     out: Path = OUT
     """Directory for the table."""
 
+    def check(self) -> None:
+        """Check names and numbers.
+
+        Raises:
+            SettingError: a task that is none of Gymnasium's, or a number below 1.
+        """
+        if not self.tasks or not all(is_gymnasium(task) for task in self.tasks):
+            raise SettingError("tasks: name environments as gymnasium:ID or gymnasium:MODULE:ID")
+        for name in ("rows", "rounds"):
+            if getattr(self, name) < 1:
+                raise SettingError(f"{name}: {getattr(self, name)} is below 1")
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code."""
     options = parse(HostedSpeedOptions, arguments, "python -m experiments.physics.hosted_speed")
-    if not all(is_gymnasium(task) for task in options.tasks):
-        raise SettingError("tasks: name environments as gymnasium:ID or gymnasium:MODULE:ID")
+    options.check()
     ours = through_the_loop("reach", options.rows)
-    table = []
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "hosted_speed.csv"
+    table: list[Any] = list(read_table(path)) if path.exists() else []
     for task in options.tasks:
         name_now(task)
         hosted = through_the_loop(task, options.rows)
@@ -62,21 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tuple(steps_per_second(one) for one in (hosted, alone, ours))
             for _ in range(options.rounds)
         ]
-        table.append(
-            {
-                "task": task.rpartition(":")[2],
-                "rows": options.rows,
-                "rounds": options.rounds,
-                "of_its_vector_environment": _ratio(rates, 1),
-                "of_reach_here": _ratio(rates, 2),
-            }
-        )
-        print(table[-1], flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "hosted_speed.csv"
-    measured = {row["task"] for row in table}
-    kept = [row for row in read_table(path) if row["task"] not in measured] if path.exists() else []
-    write_table(path, [*kept, *table])
+        row = {
+            "task": task.rpartition(":")[2],
+            "rows": options.rows,
+            "rounds": options.rounds,
+            "of_its_vector_environment": _ratio(rates, 1),
+            "of_reach_here": _ratio(rates, 2),
+        }
+        print(row, flush=True)
+        table = [*(kept for kept in table if kept["task"] != row["task"]), row]
+        write_table(path, table)  # now, lest it be lost if the next one fails
     return 0
 
 

@@ -8,8 +8,6 @@ to wait until that is compiled, for the first cycle, and of all together.
 
 import itertools
 import json
-import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,8 +20,11 @@ import tyro
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
-from cgm_jax.host.command_line import parse, run_program
+from cgm_jax.host.command_line import parse, refuse, run_program
+from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.startup import prepare_jax
+from cgm_jax.measuring.child import MeasurementError, output_of
+from cgm_jax.measuring.workload import choose_cpu
 from experiments.table import read_table, write_table
 
 ENGINES = ("native", "mjx")
@@ -53,11 +54,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.since is not None:
         print(json.dumps(_phases(options.engines[0], options.since)))
         return 0
+    choose_cpu()
     path = options.out / "start.csv"
     kept = read_table(path) if path.exists() else []
     rows: list[Any] = [row for row in kept if row["engine"] not in options.engines]
     for engine in options.engines:
-        rows.append(_started(engine))
+        try:
+            rows.append(_started(engine))
+        except MeasurementError as error:
+            refuse(str(error), ExitCode.FAILED)
         print(rows[-1], flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     write_table(path, rows)
@@ -67,21 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _started(engine: str) -> dict[str, Any]:
     """The row of an engine, from a process of its own."""
     with tempfile.TemporaryDirectory() as cache:
-        process = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "experiments.physics.start",
-                engine,
-                "--since",
-                repr(time.time()),
-            ],
-            env={**os.environ, "JAX_COMPILATION_CACHE_DIR": cache},
-            stdout=subprocess.PIPE,
-            check=True,
-            text=True,
-        )
-    return json.loads(process.stdout.splitlines()[-1])
+        words = [engine, "--since", repr(time.time())]
+        command = [sys.executable, "-m", "experiments.physics.start", *words]
+        output = output_of(command, {"JAX_COMPILATION_CACHE_DIR": cache})
+    return json.loads(output.splitlines()[-1])
 
 
 def _phases(engine: str, since: float) -> dict[str, Any]:

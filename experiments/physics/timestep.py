@@ -101,9 +101,9 @@ def _pairs() -> list[tuple[float, float]]:
 
 def main(recording: Path, out: Path) -> None:
     """Write the table and print it."""
-    out.mkdir(parents=True, exist_ok=True)
     with np.load(recording) as file:
         rows = compare(dict(file))
+    out.mkdir(parents=True, exist_ok=True)
     write_table(out / "timestep.csv", rows)
     for row in rows:
         print(*row.values(), sep="\t")

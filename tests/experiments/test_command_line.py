@@ -13,8 +13,17 @@ def given(monkeypatch: pytest.MonkeyPatch, *words: str) -> list[Path]:
     return paths("a.program", "What it does.", "recording", "out")
 
 
-def test_paths_come_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert given(monkeypatch, "b.npz", "a") == [Path("b.npz"), Path("a")]
+def test_paths_come_in_their_order(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "b.npz").touch()
+    assert given(monkeypatch, str(tmp_path / "b.npz"), "a") == [tmp_path / "b.npz", Path("a")]
+
+
+def test_a_recording_that_is_not_there_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        given(monkeypatch, "nowhere.npz", "a")
+    assert "recording: there is no file nowhere.npz" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [(), ("a.npz",), ("a.npz", "b", "c"), ("a.npz", "--b")])

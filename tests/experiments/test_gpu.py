@@ -1,5 +1,7 @@
 """What `make gpu` does, its cases in small."""
 
+import json
+import math
 import os
 import signal
 import subprocess
@@ -11,7 +13,8 @@ import pytest
 
 from cgm_jax.config.fields import SettingError
 from cgm_jax.envs.physics.choose import has_warp
-from experiments.gpu import measure
+from cgm_jax.host.exit_codes import ExitCode
+from experiments.gpu import cases, measure
 from experiments.gpu.cases import PARTS
 from experiments.table import read_table
 from tests.cgm_jax.sweeps import ROOT
@@ -41,6 +44,21 @@ def test_a_case_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Path
         time.sleep(0.05)
     os.kill(child, signal.SIGKILL)
     pytest.fail("the child was left running")
+
+
+def test_a_run_that_diverged_has_figures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    row = {"env_steps": 51200, "wall_s": 9.0, "success_rate": None}
+    (tmp_path / "learning" / "push").mkdir(parents=True)
+    (tmp_path / "learning" / "push" / "metrics.jsonl").write_text(json.dumps(row) + "\n")
+
+    def diverged(command: list[str], accepted: tuple[int, ...]) -> str:
+        assert ExitCode.DIVERGED in accepted
+        return ""
+
+    monkeypatch.setattr(cases, "output_of", diverged)
+    figures = {row["figure"]: row["value"] for row in cases.learning("push", False, tmp_path)}
+    assert figures["environment steps trained"] == 51200
+    assert math.isnan(figures["success in the end"])
 
 
 def test_without_a_gpu_it_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -1,14 +1,17 @@
+import functools
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cgm_jax.config.named import is_own
-from cgm_jax.config.presets import PRESETS
+from cgm_jax.config.presets import PRESETS, Grid
 from experiments.learning.plans import (
+    grid_of,
     not_written_out,
     options_of,
-    planned_settings,
     read_plans,
+    settings_of_grid,
 )
 from experiments.learning.records import RecordedRun, recorded_settings, same_runs
 from experiments.learning.tables import runs_by_setting
@@ -18,9 +21,21 @@ from experiments.run import FIGURES
 PLANS = read_plans()
 
 
+@functools.cache
+def grid(name: str) -> Grid:
+    """What a sweep asks for."""
+    return grid_of(PLANS.sweeps[name])
+
+
+@functools.cache
+def planned(name: str) -> list[dict[str, Any]]:
+    """The settings of its runs."""
+    return settings_of_grid(grid(name))
+
+
 @pytest.mark.parametrize("name", PLANS.sweeps)
 def test_every_sweep_is_one_that_the_program_takes(name: str) -> None:
-    (env,) = {settings["env"] for settings in planned_settings(PLANS.sweeps[name])}
+    (env,) = {settings["env"] for settings in planned(name)}
     assert name == "quick" or name.startswith(Path(env.partition(".py:")[0]).name)
 
 
@@ -34,14 +49,15 @@ def test_every_sweep_names_its_engine_where_it_may(name: str) -> None:
 def test_no_preset_or_default_decides_a_sweep(name: str) -> None:
     settings = PLANS.sweeps[name]
     assert not_written_out(settings) == set()
-    planned = [planned_settings(settings, preset) for preset in PRESETS]
-    assert planned == [planned[0]] * len(PRESETS)
+    assert [settings_of_grid(grid(name), preset) for preset in PRESETS] == [planned(name)] * len(
+        PRESETS
+    )
 
 
 @pytest.mark.parametrize("name", PLANS.sweeps)
 def test_what_is_on_record_is_what_is_planned(name: str) -> None:
     recorded = [settings for _, settings in recorded_settings(name)]
-    assert not recorded or same_runs(recorded, planned_settings(PLANS.sweeps[name]))
+    assert not recorded or same_runs(recorded, planned(name))
 
 
 def test_settings_build_on_others(tmp_path: Path) -> None:
@@ -83,7 +99,7 @@ def test_runs_of_a_question_can_be_told_apart(name: str) -> None:
     runs = [
         RecordedRun(sweep, f"run {number}", settings, [], alone=True)
         for sweep in PLANS.questions[name].sweeps
-        for number, settings in enumerate(planned_settings(PLANS.sweeps[sweep]))
+        for number, settings in enumerate(planned(sweep))
     ]
     seeds = runs_by_setting(runs)  # refuses a run that is planned twice
     assert sum(map(len, seeds.values())) == len(runs)

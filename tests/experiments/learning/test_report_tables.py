@@ -1,5 +1,7 @@
 """Tables of the report from runs made up."""
 
+import dataclasses
+
 import pytest
 
 from experiments.learning import report_tables, report_values
@@ -39,6 +41,35 @@ def test_never_says_by_when_where_others_of_the_setting_were_trained_longer(
 ) -> None:
     question += [run([0.0] * 5, 0), run([0.0] * 9, 1), run([0.5] * 9, 2)]
     assert "never by 5, never, 3" in report_tables.speed("any").rows[0]
+
+
+def test_seconds_to_hold_are_those_of_every_seed_and_their_median(
+    question: list[RecordedRun],
+) -> None:
+    # Evaluated every 2 seconds: 50 % is held at the 2nd to 4th, 90 % at the 3rd to 5th.
+    question += [run([0.0] * zeros + [0.9] * 4, seed) for seed, zeros in ((0, 0), (1, 2))]
+    question += [run([0.6] * 6, 2, curriculum="full"), run([0.0] * 6, 3, curriculum="full")]
+    table = report_tables.seconds_to_hold("any")
+    assert [list(row) for row in table.rows] == [
+        ["CGM (10 %, 32)", "6, 8", "7", "6, 10", "8"],
+        ["no masks, seeds 2, 3", "6, never", "never", "never, never", "never"],
+    ]
+    question[0] = dataclasses.replace(question[0], alone=False)
+    with pytest.raises(ValueError, match="side by side have no seconds of their own"):
+        report_tables.seconds_to_hold("any")
+
+
+def test_two_trainings_stand_beside_each_other_setting_by_setting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = [run([0.9] * 4, 0), run([0.0] * 4, 1), run([0.9] * 4, 0, curriculum="full")]
+    second = [run([0.9] * 4, 0, "b"), run([0.0] * 2 + [0.9] * 4, 1, "b")]
+    trainings = {"one": first, "two": [*second, run([0.9] * 4, 0, "b", her_filter=False)]}
+    monkeypatch.setattr(report_tables, "runs_of", trainings.__getitem__)
+    table = report_tables.trained_twice("one", "two", "90")
+    # Of the others there is but one training.
+    (row,) = table.rows
+    assert list(row)[-4:] == ["3, never", "never", "3, 5", "4 (3.5 to 4.5)"]
 
 
 def test_paired_says_how_large_a_difference_is_at_least(question: list[RecordedRun]) -> None:

@@ -14,7 +14,7 @@ from tests.experiments.learning.recorded import run
 
 Recorded = dict[str, list[RecordedRun]]
 
-SWEEPS = ("one", "other", "more", "nothing")
+SWEEPS = ("one", "other", "more", "less", "nothing")
 
 
 @pytest.fixture
@@ -72,6 +72,21 @@ def test_the_least_ratio_is_rounded_down_and_counts_never_to_the_end(recorded: R
     recorded["one"] = arm("one", [NEVER])
     with pytest.raises(ValueError, match="not all seeds hold 90 %"):
         report_values.least_ratio("one", "other", "90")
+
+
+def test_what_is_saved_is_compared_by_seed(recorded: Recorded) -> None:
+    # Saved are 1, 2 and 2 thousand steps; elsewhere 2, 2 and, at least, 5.
+    recorded["one"] = arm("one", [held(4), held(4), held(4)])
+    recorded["other"] = arm("other", [held(5), held(6), held(6)])
+    recorded["more"] = arm("more", [held(4), held(4), held(4)])
+    recorded["less"] = arm("less", [held(6), held(6), NEVER, held(9)])
+    names = ("one", "other", "more", "less")
+    assert report_values.saved_less(*names, "90") == "two of three seeds"
+    assert report_values.saved_less("one", "other", "one", "other", "90") == "none of three seeds"
+    with pytest.raises(ValueError, match="less: not all seeds hold 50 %"):
+        report_values.saved_less("more", "less", *names[:2], "50")
+    recorded["more"] = []
+    assert report_values.saved_less(*names, "90") == NOT_YET
 
 
 def test_seeds_that_never_hold_a_success_have_one_end(recorded: Recorded) -> None:
@@ -183,15 +198,11 @@ def test_a_point_at_which_a_seed_ties_is_not_sooner(monkeypatch: pytest.MonkeyPa
     assert report_values.points_sooner("grid", "push") == "one of three points"
 
 
-def test_the_pace_is_the_median_of_seconds_for_a_thousand_steps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_pace_is_that_of_the_median_epoch_of_the_fastest_and_of_the_slowest_run(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(report_values, "SWEEPS", tmp_path / "sweeps")
-    rows = [("push", 100_000, 30.0), ("push", 200_000, 50.0), ("push", 100_000, 20.0)]
-    rows.append(("reach", 100_000, 90.0))
-    names = ("task", "env_steps", "held_s")
-    (tmp_path / "seconds").mkdir()
-    write_table(
-        tmp_path / "seconds" / "seconds.csv", [dict(zip(names, row, strict=True)) for row in rows]
-    )
-    assert (report_values.pace("push"), report_values.pace("reach")) == ("0.25", "0.9")
+    runs = [run([0.0] * 4, 0), run([0.0] * 4, 1)]  # of 2 s an epoch
+    for row, wall in zip(runs[1].rows, (30.0, 33.0, 40.0, 43.5), strict=True):
+        row["wall_s"] = wall
+    monkeypatch.setattr(report_values, "runs_of", lambda _: runs)
+    assert report_values.pace("any") == "2.0 to 3.5"

@@ -37,7 +37,8 @@ def test_the_raw_rate_counts_the_steps_of_whole_episodes(monkeypatch: pytest.Mon
     steps, updates = seconds.raw_rates("push")
     assert steps == 50 * 64 / 2
     agent = cpu_group("push").runs[0].hyper.agent
-    assert updates == PRODUCT_OPERATIONS / 0.5 / update_operations(agent, 512)
+    # Observation, goal, and what remains of one stage with its flag.
+    assert updates == PRODUCT_OPERATIONS / 0.5 / update_operations(agent, 512, 25 + 3 + 4)
 
 
 def test_runs_that_are_timed_again_replace_their_rows_and_no_others(

@@ -10,7 +10,10 @@ from experiments.other_programs.compare import ROOT, CompareOptions
 from experiments.table import read_table
 
 PYTHON = CompareOptions().python
-pytestmark = pytest.mark.skipif(not PYTHON.is_file(), reason="make test-sb3 builds what it needs")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not PYTHON.is_file(), reason="make test-sb3 builds what it needs"),
+]
 
 LEARN = """
 import json, sys
