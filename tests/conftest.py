@@ -57,7 +57,7 @@ def strict() -> Iterator[None]:
         yield
 
 
-MAPS, MANY_MAPS = Path("/proc/self/maps"), 20_000
+MAPS, MANY_MAPS = Path("/proc/self/maps"), 12_000
 """Where a process's memory maps are listed, and how many of the 65,530 it may have are many."""
 
 

@@ -308,7 +308,7 @@ def test_a_group_that_begins_anew_without_what_it_started_from_is_refused(
     with np.load(io.BytesIO(kept)) as file:
         arrays = {name: file[name][..., :1] if file[name].ndim else file[name] for name in file}
     np.savez(out / "start.npz", **arrays)
-    with pytest.raises(SettingError, match=r"^from: .* there and .* here$"):
+    with pytest.raises(SettingError, match=r"^from: .* in the source and .* here$"):
         sweep.main(["--resume", str(out)])
     (out / "start.npz").write_bytes(kept)
     assert sweep.main(["--resume", str(out)]) == 0
