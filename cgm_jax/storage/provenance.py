@@ -27,8 +27,8 @@ TITLES = {
 }
 """Entries that are one text each, and what to call them."""
 
-DECISIVE = ("JAX_", "CGM_JAX_GYMNASIUM_")
-"""Prefixes of environment variables on which results depend."""
+HOSTING = "CGM_JAX_GYMNASIUM_"
+"""Prefix of environment variables on which results of hosted tasks depend."""
 
 MAX_SHOWN = 100
 
@@ -52,7 +52,7 @@ def provenance(device: str, own_names: Iterable[str]) -> dict[str, Any]:
         "commit": _commit(),
         "device": device,
         "flags": os.environ.get("XLA_FLAGS", ""),
-        "variables": _variables(),
+        "variables": _variables("JAX_", *([HOSTING] if hosted else [])),
         "machine": f"{platform.platform()}, {cores()}",
         "files": files,
         "hosted": hosted,
@@ -76,7 +76,10 @@ def changes(
     found += _changed_files(before.get("files", {}), moved)
     for kind in ("versions", "variables", "hosted"):
         old, new = before.get(kind, {}), now[kind]
-        names = [name for name in old if name in PACKAGES or kind == "hosted"]
+        if kind == "hosted":
+            old = moved_hosts(old, moved)
+        known = PACKAGES if kind == "versions" else old
+        names = [name for name in old if name in known and old[name] is not None]
         if kind == "variables":
             names = sorted({*old, *new}) if kind in before else []
         for name in names:
@@ -126,12 +129,12 @@ def moved_hosts(hosted: Mapping[str, str], moved: Mapping[str, str]) -> dict[str
     }
 
 
-def _variables() -> dict[str, str]:
-    """Settings of JAX, less those of a cache, which change no result, and of hosted tasks."""
+def _variables(*prefixes: str) -> dict[str, str]:
+    """Environment variables, less those of a cache, which change no result."""
     return {
         name: value
         for name, value in sorted(os.environ.items())
-        if name.startswith(DECISIVE) and "CACHE" not in name
+        if name.startswith(prefixes) and "CACHE" not in name
     }
 
 

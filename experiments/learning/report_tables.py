@@ -151,10 +151,11 @@ def trained_twice(first: str, second: str, level: str) -> Table:
     trainings = [runs_by_setting(runs_of(question)) for question in (first, second)]
     rows = []
     for setting in trainings[1]:
-        if setting in trainings[0]:
-            row = [setting.task, setting.algorithm, setting.curriculum]
+        both = [seed for seed in trainings[1][setting] if seed in trainings[0].get(setting, {})]
+        if both:
+            row = [setting.task, setting.algorithm, setting.curriculum + _which(both)]
             for training in trainings:
-                row += _held(list(training[setting].values()), int(level) / 100)
+                row += _held([training[setting][seed] for seed in both], int(level) / 100)
             rows.append(row)
     header = ["task", "algorithm", "masks"]
     for training in ("first", "second"):

@@ -258,7 +258,7 @@ def test_an_option_that_is_given_twice_is_told(capsys: pytest.CaptureFixture[str
     ]
     names = [run.name for group in groups or [] for run in group.runs]
     assert names
-    assert all("cg0.2-kappa7" in name or "full" in name for name in names)
+    assert all("cg0.2-kappa7" in name for name in names)
 
 
 MISSPELT = {

@@ -140,6 +140,18 @@ def test_runs_that_fit(monkeypatch: pytest.MonkeyPatch, free: int, fit: int) -> 
     assert runs_that_fit(ESTIMATE, 50) == fit
 
 
+def test_what_fits_is_told_by_the_most_that_fewer_runs_take(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    estimate = MemoryEstimate(0, 1, 10, 0, 0, 0, {"environments": 1}, on_cpu=True)
+    # Four runs divide three devices better than three do, on two of which they then train.
+    totals = [estimate.total(runs, devices=3) for runs in range(1, 7)]
+    assert totals == [13, 24, 36, 26, 39, 39]
+    monkeypatch.setattr(memory, "free_bytes", lambda: 39)
+    assert 26 < 39 * memory.USABLE_SHARE < 36
+    assert runs_that_fit(estimate, 6, devices=3) == 2
+
+
 @pytest.mark.parametrize(("free", "name"), [(109, "replay_transitions"), (99, "memory")])
 def test_a_run_that_cannot_fit_is_refused_by_what_makes_it_large(
     free: int, name: str, monkeypatch: pytest.MonkeyPatch

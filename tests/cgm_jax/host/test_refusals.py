@@ -109,7 +109,8 @@ def test_a_policy_that_does_not_fit_is_refused_before_anything_is_made(
     whole: Path, tmp_path: Path
 ) -> None:
     policy = next((whole / "policies").glob("*.npz"))
-    with pytest.raises(SettingError, match=r"^from: its layers are 6x32x32x2 in the source and 6x8x2 "):
+    line = r"^from: its layers are 6x32x32x2 in the source and 6x8x2 "
+    with pytest.raises(SettingError, match=line):
         train(tmp_path / "out", "--from", str(policy), "--hidden-layers", "8")
     assert not (tmp_path / "out").exists()
 

@@ -178,7 +178,7 @@ def test_a_policys_statistics_count_like_one_epoch_of_the_new_run() -> None:
 @pytest.mark.parametrize(
     ("source", "changes", "settings", "message"),
     [
-        ("policy", {"hidden_layers": (8, 8)}, {}, ".* in the source and 6x8x8x2 here"),
+        ("policy", {"hidden_layers": (8, 8)}, {}, "its layers.* in the source and 6x8x8x2 here"),
         ("directory", {"hidden_layers": (8, 8)}, {}, r"agent.actor.layer_0.bias is float32\[.*\] "),
         ("directory", {"agent": "sac"}, {}, "the agents differ: agent.* is only "),
         ("directory", {"critics": 2}, {}, "the agents differ: agent.critic"),

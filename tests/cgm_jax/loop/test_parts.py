@@ -124,7 +124,7 @@ def cut(env: PointMass) -> tuple[Trainer, Callable[..., TrainingState]]:
 
 
 CASES = {
-    "ddpg and cgm": (PointMass(), tiny()),
+    "ddpg and starts": (PointMass(), tiny(curriculum="starts")),
     "sac, starts and episodes that end": (Walled(), tiny(agent="sac", curriculum="starts")),
     "td3 and episodes that end": (Walled(), tiny(agent="td3", critics=2)),
     "whole rollouts": (HalfTold(), tiny()),

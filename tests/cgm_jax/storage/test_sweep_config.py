@@ -169,3 +169,17 @@ def test_what_a_hosted_task_runs_on_is_recorded_and_its_changes_are_named(
         "CGM_JAX_GYMNASIUM_PYTHON /other/bin/python (now none)",
         f"mujoco of {name} 3.3.2 (now 3.3.7)",
     ]
+
+
+def test_a_hosted_task_that_is_named_again_runs_on_what_it_did(tmp_path: Path) -> None:
+    old, new = "gymnasium:one:Reach-v0", "gymnasium:two:Reach-v0"
+    note_hosted(old, {}, {"mujoco": "3.3.2"})
+    with RunDirectory.claimed(tmp_path, fresh=True) as found:
+        found.config.write(build_groups("smoke", {"env": [old]}), "smoke", "cpu")
+    note_hosted(new, {}, {"mujoco": "3.3.2"})
+    groups, moved = build_groups("smoke", {"env": [new]}), {old: new}
+    changes = found.config.changes_since_begun("cpu", groups, moved)
+    assert changes == [f"{old} (now {new})"]
+    found.config.record_resumption(changes, moved)
+    recorded = json.loads((tmp_path / CONFIG).read_text())["hosted"]
+    assert recorded == {f"mujoco of {new}": "3.3.2"}

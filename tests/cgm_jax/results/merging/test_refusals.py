@@ -105,9 +105,9 @@ def test_damaged_and_foreign_checkpoints_are_refused(parts: list[Path], tmp_path
     ("array", "content", "line"),
     [
         ("rows", b"{}\n", "holds rows of other runs: 'run'"),
-        ("rows", b"", "holds rows of other runs: there is not one row per run"),
+        ("rows", b"", "holds rows of other runs: there is not one row per"),
         ("rows", b"\xff\n", "is no checkpoint: "),
-        ("position", np.array([10**17, 0]), "holds rows of other runs: there is not one row per run"),
+        ("position", np.array([10**17, 0]), "holds rows of other runs: there is not one row per"),
         ("position", np.array(1), "is no checkpoint: "),
         ("position", np.array(["x", "y"]), "is no checkpoint: "),
     ],
