@@ -8,7 +8,13 @@ from pathlib import Path
 
 from cgm_jax.config.grid import Group
 from cgm_jax.config.shards import piece
-from cgm_jax.host.command_line import bring_config_back, owns_process, parse, run_program
+from cgm_jax.host.command_line import (
+    bring_config_back,
+    owns_process,
+    parse,
+    remark_on_repeated,
+    run_program,
+)
 from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import FINISHED, ExitCode
 from cgm_jax.host.interruption import Interruption
@@ -48,6 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             RunDirectory(launch.path).check_fresh(also=("parts", "attempts", "logs"))
         engine.check()
         check_sweep(launch.sweep, engine.variables_here())
+    remark_on_repeated()
     # Only now, since Ray puts signal handlers of its own in the place of others when it starts.
     with (
         Interruption(

@@ -30,6 +30,7 @@ from cgm_jax.storage.untrusted import printable
 
 MAX_MESSAGE = 2000
 _OWNS_PROCESS = ContextVar("owns_process", default=False)
+_REPEATED: ContextVar[Sequence[str]] = ContextVar("repeated", default=())
 
 Options = TypeVar("Options")
 
@@ -70,9 +71,17 @@ def parse(
             box = complaint.getvalue()
             refuse("; perhaps ".join([_first_paragraph(box), *_meant(box)]))
         raise
-    for option in _given_twice(words):
-        print(f"{option} is given twice: only the last counts", file=sys.stderr)
+    _REPEATED.set(_given_twice(words))
+    if not issubclass(kind, TrainingOptions):
+        remark_on_repeated()
     return options
+
+
+def remark_on_repeated() -> None:
+    """Say which options were given twice: of training, once nothing of it is refused any more."""
+    for option in _REPEATED.get():
+        print(f"{option} is given twice: only the last counts", file=sys.stderr)
+    _REPEATED.set(())
 
 
 def _check_words(words: Sequence[str], *, from_file: bool) -> None:

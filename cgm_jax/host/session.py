@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import bring_config_back, owns_process
+from cgm_jax.host.command_line import bring_config_back, owns_process, remark_on_repeated
 from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import STOPPED_AT_ONCE, Interruption
@@ -80,6 +80,7 @@ def _train_as_asked(
         except OSError as error:
             return _refused(error, options, out)
     to_train = find_to_train(options, asked, out)
+    remark_on_repeated()
     if options.dry_run:
         from cgm_jax.host.dry_run import show_plan
 

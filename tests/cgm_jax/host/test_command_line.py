@@ -17,7 +17,7 @@ import cgm_jax.train
 from cgm_jax import curricula
 from cgm_jax.config.fields import SettingError
 from cgm_jax.host.asked import asked_for
-from cgm_jax.host.command_line import parse
+from cgm_jax.host.command_line import parse, remark_on_repeated
 from cgm_jax.loop.compiler import Compiler
 from cgm_jax.sweep import SweepOptions
 from tests.cgm_jax.host.in_process import outcome
@@ -207,6 +207,8 @@ BAD_INPUT = {
     "--colour red": "--colour",
     "--preset huge": "preset: unknown",
     "--kappa 4 --kappa 7 --colour red": "--colour",
+    "--kappa 4 --kappa nan": "kappa: nan",
+    "--env reach --env slide": "choose from reach, push, pick_and_place",
     "--curriculum goid --neighbours 1": "neighbours: the success of 1 episode is 0 or 1, never",
     "--curriculum starts --practised-episodes 1": "practised_episodes: the success of 1 episode",
     "--her maybe": "invalid choice 'maybe' for argument '--her'. Expected one of ('o",
@@ -252,6 +254,8 @@ def test_so_does_a_process(arguments: str, tmp_path: Path) -> None:
 def test_an_option_that_is_given_twice_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--kappa", "4", "--c_g", "0.1", "--kappa=7", "--c-g", "0.2"]
     groups = asked_for(parse(SweepOptions, [*SMOKE[:2], *words], "sweep")).groups
+    assert capsys.readouterr().err == ""  # something may be refused yet
+    remark_on_repeated()
     assert capsys.readouterr().err.splitlines() == [
         "--kappa is given twice: only the last counts",
         "--c-g is given twice: only the last counts",
