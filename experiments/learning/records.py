@@ -28,6 +28,9 @@ Row = dict[str, Any]
 FOLDERS_ABOVE = re.compile(r'(?<=")/[^"]*/(?=experiments/[^"]*\.py[:"])')
 """Where the checkout lay, in names of an environment of its own and of its file."""
 
+FOLDERS_OF_RUNS = re.compile(r'("--out",\s*")/(?:[^"]*/)?([^"/]+")')
+"""Where runs lay, in the command that began them; the directory's own name stays."""
+
 
 def _switch(text: str) -> bool:
     return text == "True"
@@ -117,7 +120,8 @@ def record(trained: RunDirectory, sweep: str, planned: Sequence[Row]) -> None:
         columns = [name for name in COLUMNS if any(name in row for row in kept)]
         folder = SWEEPS / sweep
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / CONFIG).write_text(FOLDERS_ABOVE.sub("", config.read_text()))
+        text = FOLDERS_ABOVE.sub("", config.read_text())
+        (folder / CONFIG).write_text(FOLDERS_OF_RUNS.sub(r"\1runs/\2", text))
         table = [{name: _text(row.get(name)) for name in columns} for row in kept]
         write_table(folder / LEARNING, table)
 
