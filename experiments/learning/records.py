@@ -115,7 +115,8 @@ def record(trained: RunDirectory, sweep: str, planned: Sequence[Row]) -> None:
                 f"{trained.path}: {run.name} is on record and not done here; nothing was recorded"
             )
     if done:
-        kept = [row for row in trained.metrics() if row["run"] in done]
+        rows = [row for row in trained.metrics() if row["run"] in done]
+        kept = json.loads(FOLDERS_ABOVE.sub("", json.dumps(rows)))
         config = trained.path / CONFIG
         columns = [name for name in COLUMNS if any(name in row for row in kept)]
         folder = SWEEPS / sweep

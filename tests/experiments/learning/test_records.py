@@ -149,13 +149,16 @@ def test_an_environment_of_these_experiments_is_the_same_in_every_checkout(tmp_p
 
 
 def test_where_runs_lay_is_not_recorded(tmp_path: Path) -> None:
-    trained(tmp_path / "run", {}, [[0.0] * 5, [0.0] * 5])
+    trained(tmp_path / "run", {}, [[0.0] * 5, [0.0] * 5], env="/home/me/experiments/a.py:A")
     config = json.loads((tmp_path / "run" / CONFIG).read_text())
     words = ["python", "-m", "cgm_jax.sweep", "--epochs", "5", "--out", "/home/me/a/run", "--csv"]
     (tmp_path / "run" / CONFIG).write_text(json.dumps({**config, "command": words}, indent=2))
     record(tmp_path / "run", "mine")
     recorded = json.loads((tmp_path / "sweeps" / "mine" / CONFIG).read_text())
     assert recorded["command"] == [*words[:6], "runs/run", "--csv"]
+    table = (tmp_path / "sweeps" / "mine" / records.LEARNING).read_text()
+    assert ",experiments/a.py:A," in table
+    assert "/home/me" not in table
 
 
 def test_a_setting_that_no_version_had_is_named() -> None:
