@@ -76,7 +76,9 @@ def _labels(name: str, size: int, shown: Sequence[int], row: Row) -> list[str]:
         return [mask_label(1 << (size - 1 - i), size) for i in shown]
     naming = naming_array(name, size, row)
     if naming and all(map(is_finite, row[naming])):
-        return [f"{row[naming][i]:.3g}" for i in shown]
+        texts = [f"{row[naming][i]:.3g}" for i in shown]
+        unique = len({*texts}) == len(texts)
+        return texts if unique else [f"{i}: {text}" for i, text in zip(shown, texts, strict=True)]
     return [str(i) for i in shown]
 
 

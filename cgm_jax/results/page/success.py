@@ -24,13 +24,18 @@ def final_success(run: TrainedRun, settings: Mapping[str, Any]) -> dict[str, Any
         settings: its values in config.json, which tell how many episodes an evaluation has.
 
     Returns:
-        `rate`, `evaluations` behind it and, where all of their episodes were valid, their number
-        `episodes` and Wilson's 95 % interval, `low` to `high`. It tells how well the policies of
-        this run are known, not how other seeds would do.
+        `rate`, `evaluations` behind it, whether no evaluation of the run ever had a valid episode,
+        `never_valid`, and, where all episodes behind the rate were valid, their number `episodes`
+        and Wilson's 95 % interval, `low` to `high`. It tells how well the policies of this run are
+        known, not how other seeds would do.
     """
     rows = run.rows[-HOLDING_EVALUATIONS:]
     rate = sum(row["success_rate"] or 0.0 for row in rows) / len(rows)
-    found: dict[str, Any] = {"rate": rate, "evaluations": len(rows)}
+    found: dict[str, Any] = {
+        "rate": rate,
+        "evaluations": len(rows),
+        "never_valid": run.never_valid,
+    }
     each = settings.get("evaluation_episodes")
     if not isinstance(each, int) or not 1 <= each <= MAX_EPISODES:
         return found

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 
+from cgm_jax.storage.untrusted import printable
+
 KINDS = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
 
 MAX_BYTES = 32 * 2**20
@@ -24,11 +26,12 @@ def video_figures(path: Path, label: str) -> str:
             size = file.stat().st_size
             if size > MAX_BYTES or len(shown) == MAX_VIDEOS:
                 reason = f"{size:,} bytes" if size > MAX_BYTES else f"more than {MAX_VIDEOS} videos"
-                print(f"{file} is not in the page: {reason}", file=sys.stderr)
+                print(f"{printable(str(file))} is not in the page: {reason}", file=sys.stderr)
                 continue
             shown.append(_figure(file, f"{label}/{file.relative_to(path)}"))
         except OSError as error:
-            print(f"{file} is not in the page: {error.strerror}", file=sys.stderr)
+            told = f"{printable(str(file))} is not in the page: {error.strerror}"
+            print(told, file=sys.stderr)
     return "".join(shown)
 
 

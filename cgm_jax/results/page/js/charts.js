@@ -40,14 +40,19 @@ function fitToPaper(printing) {
   for (const { redraw } of observers.values()) redraw();
 }
 
-/** Draw into an element, again whenever its width changes. */
-function fitted(container, draw) {
+/** Draw into an element what is called so, again whenever its width changes. */
+function fitted(container, name, draw) {
   let width = 0;
   const redraw = () => {
     const now = Math.floor(container.clientWidth);
     if (now === width || now === 0) return;
     width = now;
-    container.replaceChildren(draw(width));
+    const chart = draw(width);
+    if (chart instanceof SVGElement) {
+      chart.setAttribute("role", "img");
+      chart.setAttribute("aria-label", name);
+    }
+    container.replaceChildren(chart);
   };
   const observer = new ResizeObserver(redraw);
   observer.observe(container);
@@ -65,7 +70,10 @@ function multiples(container, panels, draw) {
       panel.title ? element("h3", {}, panel.title) : null, panel.key ?? null, body), body, panel];
   });
   container.replaceChildren(...figures.map(([figure]) => figure));
-  for (const [, body, panel] of figures) fitted(body, (width) => draw(panel, width));
+  const heading = container.closest("section").querySelector("h2").textContent;
+  for (const [, body, panel] of figures) {
+    fitted(body, panel.title ? `${heading}: ${panel.title}` : heading, (width) => draw(panel, width));
+  }
 }
 
 function stopObserving(container) {

@@ -9,18 +9,21 @@ function readChoices() {
   const found = new URLSearchParams(location.hash.slice(1));
   for (const [name, text] of found) {
     if (name === "hidden") {
-      for (const part of text.split(" ")) {
-        const [setting, ...values] = part.split(".");
-        if (settingNamed(setting)) choices.hidden[setting] = new Set(values.map(Number));
-      }
-    } else if (name === "level" || name === "group") {
-      const number = Number.parseInt(text, 10);
-      if (Number.isFinite(number)) choices[name] = number;
+      hide(text);
+    } else if (name === "level") {
+      choices.level = Number.parseInt(text, 10);
     } else if (name in choices) choices[name] = text;
   }
   if (!(choices.level >= 5 && choices.level <= 100)) choices.level = 50;
-  if (!report.groups[choices.group]) choices.group = null;
   if (!X_AXES[choices.x]) choices.x = "env_steps";
+}
+
+/** Switch off "setting:value". Told by its text: its number changes once training adds others. */
+function hide(written) {
+  const end = written.indexOf(":");
+  const name = written.slice(0, end), text = written.slice(end + 1);
+  const index = settingNamed(name)?.values.findIndex((value) => value.text === text) ?? -1;
+  if (index >= 0) (choices.hidden[name] ??= new Set()).add(index);
 }
 
 function writeChoices() {
@@ -28,9 +31,9 @@ function writeChoices() {
   for (const [name, value] of Object.entries(choices)) {
     if (name !== "hidden" && isKnown(value)) written.set(name, value);
   }
-  const hidden = Object.entries(choices.hidden)
-    .filter(([, values]) => values.size).map(([name, values]) => [name, ...values].join("."));
-  if (hidden.length) written.set("hidden", hidden.join(" "));
+  for (const [name, values] of Object.entries(choices.hidden)) {
+    for (const index of values) written.append("hidden", `${name}:${settingNamed(name).values[index].text}`);
+  }
   try {
     history.replaceState(null, "", "#" + written);
   } catch { /* some viewers of files refuse; then a reload forgets */ }

@@ -24,7 +24,9 @@ function curveOf(group, measure, x) {
   const rest = seeds.map((seed) => seed.filter((point) => point.epoch >= common)).filter((seed) => seed.length > 1);
   const crosses = runs.filter((run) => run.failed).map((run) => {
     const i = run.columns.epoch.indexOf(run.failed.epoch);
-    return { x: run.columns[x][i], y: run.columns[measure][i] ?? 0, run };
+    const known = run.columns[measure].slice(0, i + 1).filter(isKnown);
+    const none = measure === "success_rate" ? 0 : known.at(-1) ?? null;  // success that was not is none
+    return { x: run.columns[x][i], y: run.columns[measure][i] ?? none, run };
   });
   return { points, rest, seeds, crosses, runs: runs.length };
 }

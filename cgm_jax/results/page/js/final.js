@@ -2,12 +2,15 @@
 
 function drawFinal() {
   const groups = inOrder(shownGroups());
+  const finals = groups.flatMap(runsOf).map((run) => run.final);
+  const short = finals.some((final) => final.evaluations < report.holding);
   at("final-caption").textContent =
-    `Mean of the last ${report.holding} evaluations. Dots are runs; their bars are Wilson's 95 % interval over the episodes ` +
+    `Mean of the last ${report.holding} evaluations${short ? ", or of as many as there are" : ""}. Dots are runs; their bars are Wilson's 95 % interval over the episodes ` +
     "of these evaluations, which says how well a run's policies are known and nothing of other seeds." +
     (groups.some((group) => group.runs.length > 1) ? " Ticks are medians over seeds" +
       (groups.some((group) => isKnown(group.final.low)) ? "; the shaded interval is the median's, 95 %, whatever the distribution."
-        : "; fewer than six seeds allow no 95 % interval of a median.") : "");
+        : "; fewer than six seeds allow no 95 % interval of a median.") : "") +
+    (finals.some((final) => final.never_valid) ? " Open dots are runs without a valid episode, which counts as no success." : "");
   const left = groups.flatMap(runsOf).filter(leftEarly);
   if (left.length) {
     const levels = [...new Set(left.map((run) => percent(run.leave_at)))].join(" or ");
@@ -17,11 +20,11 @@ function drawFinal() {
   stopObserving(host);
   const body = element("div");
   host.replaceChildren(element("figure", { class: "panel" }, body));
-  fitted(body, (width) => finalChart(groups, width));
+  fitted(body, "Final success of every run", (width) => finalChart(groups, width));
   at("final-table").replaceChildren(table(
     [{ title: "Setting" }, { title: "Run" }, { title: "Success", number: true }, { title: "95 % interval", number: true }, { title: "Episodes", number: true }],
     groups.flatMap((group) => runsOf(group).map((run) => [
-      fullLabel(group), run.name, percent(run.final.rate),
+      fullLabel(group), run.name, run.final.never_valid ? "no valid episode" : percent(run.final.rate),
       isKnown(run.final.low) ? `${percent(run.final.low)} to ${percent(run.final.high)}` : "–",
       isKnown(run.final.episodes) ? String(run.final.episodes) : "–"]))));
 }
@@ -48,7 +51,8 @@ function finalChart(groups, width) {
         y2: (group) => rows.get(group) + 0.9 * half, fill: colourOf, fillOpacity: 0.16 }),
       Plot.link(dots.filter((dot) => isKnown(dot.low)), { x1: "low", x2: "high", y1: "y", y2: "y",
         stroke: (dot) => colourOf(dot.group), strokeOpacity: 0.35, strokeWidth: 1.2 }),
-      Plot.dot(dots.filter((dot) => !dot.run.failed), { x: "rate", y: "y", r: 3, fill: (dot) => colourOf(dot.group) }),
+      Plot.dot(dots.filter((dot) => !dot.run.failed), { x: "rate", y: "y", r: 3, stroke: (dot) => colourOf(dot.group),
+        fill: (dot) => (dot.never_valid ? "var(--paper)" : colourOf(dot.group)) }),
       Plot.dot(dots.filter((dot) => dot.run.failed), { x: "rate", y: "y", r: 4.5, symbol: "times", strokeWidth: 1.8, stroke: (dot) => colourOf(dot.group) }),
       Plot.link(groups.filter((group) => group.runs.length > 1), {
         x1: (group) => group.final.median, x2: (group) => group.final.median, y1: (group) => rows.get(group) - half,
@@ -56,7 +60,7 @@ function finalChart(groups, width) {
       Plot.text(groups, { x: 0, y: (group) => rows.get(group), text: (group) => labels.get(group), textAnchor: inside ? "start" : "end",
         dx: inside ? 0 : -10, dy: inside ? -15 : 0, fill: "var(--ink)" }),
       Plot.tip(dots, Plot.pointer({ x: "rate", y: "y", fill: "var(--paper)", stroke: "var(--rule)", lineWidth: 22, title: (dot) =>
-        [labels.get(dot.group), `seed ${dot.run.seed}: ${percent(dot.rate)}` +
+        [labels.get(dot.group), `seed ${dot.run.seed}: ${dot.never_valid ? "no valid episode" : percent(dot.rate)}` +
           (isKnown(dot.low) ? `  (${percent(dot.low)} to ${percent(dot.high)}, ${dot.episodes} episodes)` : ""),
          dot.run.failed ? `diverged in epoch ${dot.run.failed.epoch}: ${dot.run.failed.text}` : null].filter(isKnown).join("\n") })),
     ],

@@ -52,18 +52,18 @@ function levelLines(found, across, down, width) {
   const down_ = down && settingNamed(down);
   const colour = (one) => !down_ ? "var(--series-0)"
     : isKnown(valueIndex(one.group, down)) ? valueColour(down_, valueIndex(one.group, down)) : "var(--ink)";
-  const at_ = (value) => Math.min(value, most) * axis.scale;
+  const at_ = (value, one) => (Number.isFinite(value) ? value : one.last) * axis.scale;  // where training ended
   const series = d3.groups(having, (one) => (down ? valueOf(one.group, down)?.label ?? `no ${down_.title}` : ""));
   const beside = Math.max(0, ...series.map(([text]) => textWidth(text)), ...without.map((one) => textWidth(withoutLabel(one, across))));
   const ends = [
     ...series.map(([text, own]) => ({ own: own.at(-1), text })),
     ...without.map((one) => ({ own: one, text: withoutLabel(one, across) })),
-  ].filter((end) => end.text).map((end) => ({ y: at_(end.own.middle), label: end.text, colour: colour(end.own) }));
+  ].filter((end) => end.text).map((end) => ({ y: at_(end.own.middle, end.own), label: end.text, colour: colour(end.own) }));
   const height = Math.max(210, Math.min(280, width * 0.5));
   spreadApart(ends, 13 * most * axis.scale * 1.12 / (height - 48), 0, most * axis.scale * 1.12);
   const marks = series.flatMap(([, own]) => seriesMarks(own, place, at_, colour(own[0])));
   const levels = without.flatMap((one) => [
-    Plot.ruleY([at_(one.middle)], { stroke: colour(one), strokeDasharray: "6 3", strokeWidth: 1.5 }),
+    Plot.ruleY([at_(one.middle, one)], { stroke: colour(one), strokeDasharray: "6 3", strokeWidth: 1.5 }),
   ]);
   return Plot.plot({
     width, height, marginTop: 14, marginBottom: 34, marginLeft: 48, marginRight: beside + 22, style: STYLE,
@@ -75,23 +75,25 @@ function levelLines(found, across, down, width) {
       Plot.ruleY([most * axis.scale], { stroke: "var(--faint)", strokeDasharray: "1 3" }),
       ...levels, ...marks,
       Plot.text(ends, { frameAnchor: "right", y: "place", text: "label", fill: "colour", textAnchor: "start", dx: 12, fontWeight: 500 }),
-      Plot.tip(having, Plot.pointer({ x: place.of, y: (one) => at_(one.middle), fill: "var(--paper)", stroke: "var(--rule)", lineWidth: 22, title: arrivalTip })),
+      Plot.tip(having, Plot.pointer({ x: place.of, y: (one) => at_(one.middle, one), fill: "var(--paper)", stroke: "var(--rule)", lineWidth: 22, title: arrivalTip })),
     ],
   });
 }
 
 function withoutLabel(one, across) {
-  return labelOf(one.group, ["curriculum"]) || `no ${settingNamed(across).title}`;
+  const label = labelOf(one.group, ["curriculum"]) || `no ${settingNamed(across).title}`;
+  return Number.isFinite(one.middle) ? label : `${label}, not reached`;
 }
 
 function seriesMarks(own, place, at_, colour) {
-  const dots = own.flatMap((one) => one.times.map((time) => ({ one, time, ended: one.last })));
-  const line = place.ordered ? [Plot.line(own, { x: place.of, y: (one) => at_(one.middle), stroke: colour, strokeWidth: 1.9 })] : [];
+  const dots = own.flatMap((one) => one.times.map((time) => ({ one, time })));
+  const line = place.ordered ? [Plot.line(own, { x: place.of, y: (one) => at_(one.middle, one), stroke: colour, strokeWidth: 1.9 })] : [];
   return [
     ...line,
-    Plot.ruleX(own.filter((one) => one.runs > 1), { x: place.of, y1: (one) => at_(one.low), y2: (one) => at_(one.high), stroke: colour, strokeOpacity: 0.35, strokeWidth: 4 }),
-    Plot.dot(dots, { x: (d) => place.of(d.one), y: (d) => at_(d.time), r: 2, fill: colour, fillOpacity: 0.55 }),
-    Plot.dot(own, { x: place.of, y: (one) => at_(one.middle), r: 4, stroke: colour, strokeWidth: 1.8,
+    Plot.ruleX(own.filter((one) => one.runs > 1), { x: place.of, y1: (one) => at_(one.low, one), y2: (one) => at_(one.high, one), stroke: colour, strokeOpacity: 0.35, strokeWidth: 4 }),
+    Plot.dot(dots, { x: (d) => place.of(d.one), y: (d) => at_(d.time, d.one), r: 2, fillOpacity: 0.55, strokeOpacity: 0.55, stroke: colour,
+                     fill: (d) => (Number.isFinite(d.time) ? colour : "var(--paper)") }),
+    Plot.dot(own, { x: place.of, y: (one) => at_(one.middle, one), r: 4, stroke: colour, strokeWidth: 1.8,
                     fill: (one) => (Number.isFinite(one.middle) ? colour : "var(--paper)") }),
   ];
 }

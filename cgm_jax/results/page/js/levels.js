@@ -37,7 +37,7 @@ function drawLevels() {
   const unit = X_AXES[choices.x].title;
   at("levels-caption").textContent =
     `${capital(unit)} until ${choices.level}\u00a0% success is held: the mean of ${report.holding} ` +
-    "evaluations in a row. Medians over seeds; a median run that never arrives counts as never, whatever the others did." +
+    "evaluations in a row. Medians over seeds; where half of the runs or more never get there, the median is “not reached”." +
     (choices.x === "wall_s" ? " Seconds are those of the program that trained a run, with all runs beside it." : "") +
     leftBefore(groups.flatMap(runsOf));
   const host = at("levels-views");
@@ -98,15 +98,16 @@ function drawLevelPair(host, panel, across, down) {
   const heat = element("div"), lines = element("div");
   const title = panel.title ? element("h3", {}, panel.title) : null;
   const left = element("figure", { class: "panel" },
-    element("p", { class: "quiet" }, `Median ${unit}, the fewer the stronger; below it how many runs arrived`),
+    element("p", { class: "quiet" }, `Median ${unit}: the darker the sooner (the lighter, on a dark page); below it how many runs reached ${choices.level}\u00a0%`),
     heat, withoutList(without, across));
   const right = element("figure", { class: "panel" },
     element("p", { class: "quiet" }, `${capital(unit)}: medians with quartiles, and every run` +
-      (found.some((one) => !Number.isFinite(one.middle)) ? "; open where it had not arrived when training ended (dotted)" : "")),
+      (found.some((one) => !Number.isFinite(one.middle)) ? "; open, where training ended, if success was not reached until then; the dotted line is where the longest ended" : "")),
     lines);
   host.append(element("div", {}, title ?? "", element("div", { class: "views" }, left, right)));
-  fitted(heat, (width) => heatMap(having, across, down, width));
-  fitted(lines, (width) => levelLines(found, across, down, width));
+  const name = `${capital(unit)} until ${choices.level} % is held${panel.title ? `, ${panel.title}` : ""}`;
+  fitted(heat, name, (width) => heatMap(having, across, down, width));
+  fitted(lines, `${name}, as lines`, (width) => levelLines(found, across, down, width));
 }
 
 /** What became of runs that do not have the setting of the axis. */

@@ -14,8 +14,8 @@ const hasMasks = (group) => runsOf(group).some((run) =>
 
 /** The group that a section shows: the chosen one, or the one with most success of all. */
 function groupOf(groups) {
-  const chosen = report.groups[choices.group];
-  if (groups.includes(chosen)) return chosen;
+  const chosen = groups.find((group) => fullLabel(group) === choices.group);
+  if (chosen) return chosen;
   const horizon = Math.max(...groups.flatMap(runsOf).map((run) => run.columns.env_steps.at(-1)));
   const success = (group) => mean(runsOf(group).map((run) => successOver(run, horizon)));
   return d3.greatest(groups, (a, b) => success(a) - success(b));
@@ -29,8 +29,8 @@ function successOver({ columns }, horizon) {
 }
 
 function groupSelection(groups, chosen) {
-  const options = inOrder(groups).map((group) => [report.groups.indexOf(group), fullLabel(group)]);
-  return selection("setting", "group", options, report.groups.indexOf(chosen), (value) => choose({ group: Number(value) }));
+  const options = inOrder(groups).map(fullLabel).map((label) => [label, label]);
+  return selection("setting", "group", options, fullLabel(chosen), (group) => choose({ group }));
 }
 
 /** Medians over a group's seeds of one row of an array, up to where its first run ends. */

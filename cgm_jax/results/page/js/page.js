@@ -63,7 +63,7 @@ function drawFilters() {
 function drawTheme() {
   const dark = choices.theme === "dark" || (choices.theme !== "light" && matchMedia("(prefers-color-scheme: dark)").matches);
   document.documentElement.dataset.theme = dark ? "dark" : "light";
-  fill(at("theme"), segments("", [["auto", "auto"], ["light", "light"], ["dark", "dark"]], choices.theme, (theme) => choose({ theme })));
+  fill(at("theme"), segments("theme", [["auto", "auto"], ["light", "light"], ["dark", "dark"]], choices.theme, (theme) => choose({ theme })));
 }
 
 function drawAll() {

@@ -7,6 +7,7 @@ import pytest
 
 from cgm_jax.results.figures.runs import TrainedRun
 from cgm_jax.results.page.data import page_data
+from cgm_jax.results.page.series import arrays_of
 from cgm_jax.results.page.success import final_success
 from cgm_jax.results.page.sweeps import labels_of, read_sweep
 from cgm_jax.results.statistics import quartiles, wilson_interval
@@ -161,7 +162,18 @@ def test_final_success_has_an_interval_where_all_episodes_were_valid(
 def test_final_success_has_no_interval_where_episodes_are_no_number_of_any(episodes: Any) -> None:
     rows = [{"success_rate": 0.5, "physics_warnings": 0}] * 3
     final = final_success(TrainedRun("run", 0, {}, rows), {"evaluation_episodes": episodes})
-    assert final == {"rate": 0.5, "evaluations": 3}
+    assert final == {"rate": 0.5, "evaluations": 3, "never_valid": False}
+
+
+def test_a_run_without_a_valid_episode_is_told_from_one_without_success() -> None:
+    for rates, never in (
+        ([None, None], True),
+        ([0.0, 0.0], False),
+        ([0.5, None, None, None], False),
+    ):
+        rows = [{"success_rate": rate} for rate in rates]
+        final = final_success(TrainedRun("run", 0, {}, rows), {})
+        assert (final["rate"], final["never_valid"]) == (0.0, never)
 
 
 @pytest.mark.parametrize(
@@ -209,6 +221,16 @@ def test_a_sweep_is_finished_once_all_runs_of_a_group_may_leave(tmp_path: Path) 
     one_of_two = directory(tmp_path / "one", rows, epochs=9, leave_at=0.5)
     assert read_sweep(held).finished
     assert not read_sweep(one_of_two).finished
+
+
+def test_rows_of_an_array_whose_names_are_alike_are_told_apart_by_number() -> None:
+    for second, labels in (
+        (0.0501, ["0.05", "0.0501", "1"]),
+        (0.05001, ["0: 0.05", "1: 0.05", "2: 1"]),
+    ):
+        row = {"threshold": [0.05, second, 1.0], "threshold_rate": [0.1, 0.2, 0.3]}
+        run = TrainedRun("run", 0, {}, [{"epoch": 1, "success_rate": 0.5, **row}])
+        assert arrays_of(run)["threshold_rate"]["labels"] == labels
 
 
 def test_labels_of_directories_are_as_short_as_tells_them_apart() -> None:
