@@ -29,7 +29,7 @@ from cgm_jax.results.merging import differences, write_merged
 from cgm_jax.results.parts import read_parts
 from cgm_jax.storage.files import refusal
 from cgm_jax.storage.layout import LAUNCH
-from cgm_jax.storage.looking import is_there
+from cgm_jax.storage.looking import check_place, is_there
 from cgm_jax.storage.run_directory import RunDirectory, claiming
 
 
@@ -51,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if fresh:
         if launch.path != Path():
             # Which the rest takes minutes to come to.
+            check_place("out", launch.path)
             RunDirectory(launch.path).check_fresh(also=("parts", "attempts", "logs"))
         engine.check()
         check_sweep(launch.sweep, engine.variables_here())

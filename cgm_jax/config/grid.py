@@ -165,6 +165,15 @@ def values_of(settings: Settings, hyper: Hyperparameters, components: Mapping[st
     return values
 
 
+def defaults_of(components: Mapping[str, str]) -> Values:
+    """All values of a run that chooses its components and nothing else.
+
+    Args:
+        components: names of its curriculum, agent and relabelling.
+    """
+    return values_of(Settings(), hyperparameters(**components), components)
+
+
 def run_of(name: str, values: Values) -> tuple[Settings, Run]:
     """A run from all its values.
 
@@ -270,7 +279,15 @@ def _classes(names: Mapping[str, str]) -> dict[str, Any]:
         SettingError: there is none of a name, or it has a setting whose own name is taken.
     """
     classes = {kind: component(kind, name) for kind, name in names.items()}
+    known: dict[str, tuple[str, Field[Any]]] = {}
     for kind, found in classes.items():
+        for item in declared(found):
+            other, there = known.setdefault(item.name, (names[kind], item))
+            if (there.default, there.metadata) != (item.default, item.metadata):
+                raise SettingError(
+                    f"{kind}: {names[kind]} and {other} both have a setting called {item.name}, "
+                    "but not the same default, help and range; rename it, or declare it by shared()"
+                )
         if taken := sorted(RESERVED & {item.name for item in declared(found)}):
             raise SettingError(
                 f"{kind}: {names[kind]} has a setting called {taken[0]}, a name that is taken"
@@ -336,7 +353,7 @@ def _several(name: str, values: Any) -> Sequence[Any]:
 
 
 def _distinct(name: str, values: Sequence[Any]) -> Sequence[Any]:
-    if len(set(values)) < len(values):
+    if len({absolute(one) if isinstance(one, str) else one for one in values}) < len(values):
         raise SettingError(f"{name}: holds a value twice")
     return values
 

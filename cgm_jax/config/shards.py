@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cgm_jax.config.components import NAMES
+from cgm_jax.config.components import DEFAULTS, NAMES
 from cgm_jax.config.fields import SettingError
-from cgm_jax.config.grid import Group, Values, swept_settings
+from cgm_jax.config.grid import Group, Values, defaults_of, swept_settings
 from cgm_jax.config.named import portable
 from cgm_jax.config.spelling import counted
 
@@ -90,15 +90,39 @@ def digest(groups: Sequence[Group]) -> str:
     """What tells a whole sweep from others, on whichever machine a part of it is trained.
 
     Files of the user's own count by their names, not by the folders in which they lie: what they
-    hold is compared when parts are merged. Earlier versions had the folders in it, see
-    `former_digest`, so that the two differ where there are such files, and are the same elsewhere.
+    hold is compared when parts are merged. Settings at their default do not count, so that a later
+    version which has more of them knows the sweep again.
     """
-    return _hashed([[run.name, _portable(run.values)] for group in groups for run in group.runs])
+    runs = [run for group in groups for run in group.runs]
+    chosen = [tuple((kind, run.values[kind]) for kind in DEFAULTS) for run in runs]
+    defaults = {names: defaults_of(dict(names)) for names in dict.fromkeys(chosen)}
+    return _hashed(
+        [
+            [run.name, _portable(_unlike(run.values, defaults[names]))]
+            for run, names in zip(runs, chosen, strict=True)
+        ]
+    )
 
 
-def former_digest(groups: Sequence[Group]) -> str:
-    """The same as earlier versions have recorded it; a part that has it is known by it again."""
-    return _hashed([[run.name, run.values] for group in groups for run in group.runs])
+def former_digests(groups: Sequence[Group]) -> tuple[str, ...]:
+    """The same as earlier versions have recorded it; a part that has one is known by it again.
+
+    All settings counted, and before that also the folders of files of the user's own.
+    """
+    runs = [run for group in groups for run in group.runs]
+    return (
+        _hashed([[run.name, _portable(run.values)] for run in runs]),
+        _hashed([[run.name, run.values] for run in runs]),
+    )
+
+
+def _unlike(values: Values, defaults: Values) -> Values:
+    """Values that are no defaults, and names of components in any case."""
+    return {
+        name: value
+        for name, value in values.items()
+        if name in NAMES or name not in defaults or value != defaults[name]
+    }
 
 
 def _portable(values: Values) -> Values:

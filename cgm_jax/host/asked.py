@@ -9,7 +9,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups, groups_again
 from cgm_jax.config.presets import Grid
 from cgm_jax.config.settings import LOOP_FIELDS
-from cgm_jax.config.shards import Shard, cut, former_digest, parse_shard
+from cgm_jax.config.shards import Shard, cut, former_digests, parse_shard
 from cgm_jax.host.setting_options import given_settings
 from cgm_jax.host.settings_file import SettingsFile, read_settings_file, typed
 from cgm_jax.host.training_options import TrainingOptions, chosen_values, seed_values
@@ -30,7 +30,7 @@ class Asked(NamedTuple):
         start: a file or a directory to start from; None for from scratch.
         start_run: which run of it; None if it has one only.
         shard: which part of a sweep the groups are, if they are one.
-        former_shard: the same as earlier versions have recorded it, see `shards.former_digest`.
+        former_shards: the same as earlier versions have recorded it, see `shards.former_digests`.
     """
 
     preset: str
@@ -39,7 +39,7 @@ class Asked(NamedTuple):
     start: Path | None = None
     start_run: str | None = None
     shard: Shard | None = None
-    former_shard: Shard | None = None
+    former_shards: tuple[Shard, ...] = ()
 
     @property
     def origin(self) -> str | None:
@@ -64,8 +64,8 @@ def asked_for(options: TrainingOptions) -> Asked:
     if piece is None or asked.groups is None:
         return asked
     groups, shard = cut(asked.groups, *piece)
-    former = dataclasses.replace(shard, sweep=former_digest(asked.groups))
-    return asked._replace(groups=groups, shard=shard, former_shard=former)
+    former = [dataclasses.replace(shard, sweep=one) for one in former_digests(asked.groups)]
+    return asked._replace(groups=groups, shard=shard, former_shards=tuple(former))
 
 
 def _whole(options: TrainingOptions) -> Asked:

@@ -161,7 +161,7 @@ def _recorded_groups(out: Path, asked: Asked, moved: Mapping[str, str]) -> list[
         raise SettingError(f"from: {out} was begun from {then}, not from {now}")
     recorded = directory.config.groups()
     shard = directory.config.shard()
-    if shard != asked.shard and (shard is None or shard != asked.former_shard):
+    if shard != asked.shard and shard not in asked.former_shards:
         raise SettingError(f"out: {out} already holds another part, or a whole sweep")
     check_same(out, recorded, asked.groups)
     return recorded

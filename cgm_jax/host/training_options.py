@@ -53,7 +53,8 @@ class TrainingOptions(SettingOptions):
         Path | None, tyro.conf.arg(name="from", metavar="DIR|FILE.npz", help_behavior_hint="")
     ] = None
     """Start from what another run has learned: a run directory (agent and normaliser as they were
-    at its last checkpoint) or a policy file (actor and normaliser). Shapes must agree."""
+    at its last checkpoint) or a policy file (actor and normaliser). Shapes must agree, but
+    that a policy file may lack inputs such as stages."""
 
     from_run: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which run of --from DIR, if it has several."""
@@ -173,6 +174,8 @@ def _set_values(texts: Sequence[str], chosen: Mapping[str, Sequence[str]]) -> Gr
         name, equals, words = text.partition("=")
         if not equals or not name.isidentifier():
             raise SettingError(f"set: {text!r} is not NAME=VALUE")
+        if name in NAMES:  # which may name code to run
+            raise SettingError(f"set: {name} is an option of its own, --{name}")
         if name in values:
             raise SettingError(f"set: {name} is given twice; several values are {name}=A,B")
         # What nothing has is refused together with options that nothing has.

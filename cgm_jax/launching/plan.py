@@ -50,9 +50,10 @@ OF_ONE_PLACE = {"minutes": "slurm", "sbatch": "slurm", "address": "ray"}
 class LaunchOptions:
     """Train a sweep in parts: on this machine, as a SLURM job array, or on a Ray cluster.
 
-    Options of the sweep follow after `--`, as cgm_jax.sweep has them. In the end the parts are
-    merged in the launch's directory. Parts that are killed, preempted or lost with their node are
-    tried again from their last checkpoint, for as long as they get further.
+    Options of the sweep follow after `--`, as cgm_jax.sweep has them, but for --config, --from and
+    --dry-run. In the end the parts are merged in the launch's directory. Parts that are killed,
+    preempted or lost with their node are tried again from their last checkpoint, for as long as
+    they get further.
     """
 
     on: Annotated[
@@ -195,6 +196,7 @@ def _resumed(
         with_what = recorded.track or "none"
         raise SettingError(f"{TRACK}: {launch.path} was launched with {with_what}")
     for kind, text in own:
+        _check_there(kind, text)
         require_named(kind, text)
     groups, _ = _groups(launch.sweep, named_now=False)
     _check_trained(named, groups, launch.path)
@@ -209,6 +211,17 @@ def _resumed(
             f"--address {shlex.quote(resources.address)}"
         )
     return replace(launch, on=on, resources=resources), groups
+
+
+def _check_there(kind: str, text: str) -> None:
+    """Check that a file of the user's own is where it was, as the parts name it.
+
+    Raises:
+        SettingError: it is not.
+    """
+    place = text.rpartition(":")[0]
+    if place.endswith(".py") and not Path(place).exists():
+        raise SettingError(f"{kind}: {place} is not there any more; a launch resumes with it there")
 
 
 def _check_only_names(words: Sequence[str]) -> None:

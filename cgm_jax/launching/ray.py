@@ -48,6 +48,7 @@ class Ray:
         self._ray = ray
         self._cores = resources.cores or 1
         self._tasks: dict[Any, int] = {}
+        self._began = False
         # Ray only keeps account of memory; a part has to be told what it may plan with.
         memory = resources.memory
         self._memory = {} if memory is None else {MEMORY_VARIABLE: str(int(memory * 2**10))}
@@ -97,14 +98,18 @@ class Ray:
         """A task's exit code; None if it has none, since its worker or node was lost.
 
         Raises:
-            SettingError: a node cannot run parts.
+            SettingError: the first node that was given a part cannot run parts.
         """
         try:
-            return int(self._ray.get(task))
+            code = int(self._ray.get(task))
+            self._began = True
+            return code
         except self._ray.exceptions.RayError as error:
             cause = getattr(error, "cause", None)
             if isinstance(cause, FileNotFoundError):
-                raise SettingError(f"on: {cause}") from None
+                if not self._began:
+                    raise SettingError(f"on: {cause}") from None
+                print(f"on: {cause}", file=sys.stderr)
             return None  # lost, or cancelled
 
     def stop(self) -> None:

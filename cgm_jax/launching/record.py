@@ -10,6 +10,7 @@ Written on whichever machine the attempt is made, so that it tells what a schedu
 
 import contextlib
 import json
+import os
 import re
 import time
 from pathlib import Path
@@ -29,7 +30,16 @@ def append_event(record: Path, event: str, **values: Any) -> None:
     """Add an event to a part's record of attempts; where that cannot be written, go without."""
     entry = {"event": event, "time": round(time.time(), 3), **values}
     with contextlib.suppress(OSError), record.open("a") as file:
-        file.write(json.dumps(entry) + "\n")
+        # On a line of its own, whatever a full disk has left of the one before.
+        file.write(("" if _ends_a_line(record) else "\n") + json.dumps(entry) + "\n")
+
+
+def _ends_a_line(record: Path) -> bool:
+    with record.open("rb") as file:
+        if file.seek(0, os.SEEK_END) == 0:
+            return True
+        file.seek(-1, os.SEEK_END)
+        return file.read() == b"\n"
 
 
 def events(record: Path) -> list[Event]:

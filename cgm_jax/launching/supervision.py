@@ -86,6 +86,7 @@ class Parts:
         waiting: parts to be attempted, and the time before which not.
         running: parts being attempted.
         codes: exit codes of parts that are done, or cannot be.
+        logged: bytes in each part's log when its last attempt began.
         stands: where each part stood when its last attempt ended.
         stuck: how many attempts in a row have ended there. Unlike the part's own record this counts
             those that never began, as where a job's interpreter is not there.
@@ -94,6 +95,7 @@ class Parts:
     waiting: dict[int, float]
     running: set[int] = field(default_factory=set)
     codes: dict[int, int] = field(default_factory=dict)
+    logged: dict[int, int] = field(default_factory=dict)
     stands: dict[int, list[int]] = field(default_factory=dict)
     stuck: dict[int, int] = field(default_factory=dict)
 
@@ -134,7 +136,7 @@ def supervise(
             if interruption.requested:
                 _stop(engine, parts)
                 return None
-            _start(engine, parts)
+            _start(launch, engine, parts)
             for part, end in engine.ended().items():
                 _follow_up(launch, parts, part, end)
             progress.show(parts.done(), len(parts.running))
@@ -142,9 +144,10 @@ def supervise(
     return parts.codes
 
 
-def _start(engine: Engine, parts: Parts) -> None:
+def _start(launch: Launch, engine: Engine, parts: Parts) -> None:
     now = time.monotonic()
     due = [part for part, when in parts.waiting.items() if when <= now][: engine.room()]
+    parts.logged |= {part: _size(launch.log(part)) for part in due}
     taken = engine.start(due) if due else []
     for part in due:
         if part in taken:
@@ -175,7 +178,7 @@ def _follow_up(launch: Launch, parts: Parts, part: int, end: Ended) -> None:
         why = "it was cancelled" if end.final else _reason(end.code)
         if not end.final and next_step(end.code, 0) is Step.AGAIN:
             why += f", and {fruitless} attempts in a row have come no further"
-        said = last_error(launch.log(part))
+        said = last_error(launch.log(part), since=parts.logged.get(part, 0))
         _say(f"part {part}: {why}; {said or f'see {launch.log(part)}'}")
 
 
@@ -199,16 +202,23 @@ def verdict(codes: Mapping[int, int]) -> int:
     return ExitCode.FAILED
 
 
-def last_error(log: Path) -> str | None:
-    """The last line of a log that says what was wrong."""
+def last_error(log: Path, since: int = 0) -> str | None:
+    """The last line of a log that says what was wrong, after so many bytes of it."""
     try:
         with log.open("rb") as file:
-            file.seek(max(0, log.stat().st_size - 20_000))
+            file.seek(max(since, log.stat().st_size - 20_000))
             lines = file.read().decode(errors="replace").splitlines()
     except OSError:
         return None
     found = [line for line in lines if line.startswith("error: ")]
     return printable(found[-1][:500]) if found else None
+
+
+def _size(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
 
 
 def _reason(code: int | None) -> str:

@@ -5,7 +5,7 @@ What counts are the last checkpoints, since only what they hold is safe.
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ class Part:
         shard: which part it is.
         pieces: its groups of runs, in order.
         start: SHA-256 of start.npz, from which it began; None for from scratch.
+        names: what its runs' own code was called there, and is in the whole; see `same_names`.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class Part:
     shard: Shard
     pieces: list[Piece]
     start: str | None
+    names: dict[str, str] = field(default_factory=dict)
 
 
 def read_parts(paths: Sequence[Path]) -> list[Part]:
@@ -152,7 +154,8 @@ def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
 def _renamed(part: Part, names: dict[str, str]) -> Part:
     groups = renamed(part.config["groups"], names)
     pieces = [replace(piece, rows=renamed(piece.rows, names)) for piece in part.pieces]
-    return replace(part, config={**part.config, "groups": groups}, pieces=pieces)
+    config = {**part.config, "groups": groups}
+    return replace(part, config=config, pieces=pieces, names=names)
 
 
 def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece:

@@ -64,22 +64,31 @@ def read_arrays(path: Path, most_bytes: int) -> dict[str, np.ndarray]:
     total = sum(_bytes(*entry) for entry in shapes.values())
     if total > most_bytes:
         raise ValueError(f"{path} holds {total:,} bytes of arrays, more than {most_bytes:,}")
-    with _naming(path), open_arrays(path) as arrays:
+    with _naming(path), open_arrays(path, packed=True) as arrays:
         return dict(arrays)
 
 
 @contextlib.contextmanager
-def open_arrays(path: Path) -> Iterator[Mapping[str, np.ndarray]]:
+def open_arrays(path: Path, *, packed: bool = False) -> Iterator[Mapping[str, np.ndarray]]:
     """The arrays of an npz file by name, each read whenever it is asked for. Never runs its code.
 
+    Args:
+        path: the file.
+        packed: whether arrays may be compressed. They may then be a thousand times as large as the
+            file; `write_arrays` does not compress them.
+
     Raises:
-        ValueError: as `read_shapes`; in the block also if an array's bytes are damaged.
+        ValueError: as `read_shapes`, or an array is compressed; in the block also if an array's
+            bytes are damaged.
         OSError: in the block, if the system cannot read them just now.
     """
     names = list(read_shapes(path))
     with contextlib.ExitStack() as stack:
         with _naming(path):
             archive = stack.enter_context(zipfile.ZipFile(path))
+            stored = all(info.compress_type == zipfile.ZIP_STORED for info in archive.infolist())
+            if not (stored or packed):
+                raise ValueError("its arrays are compressed")
         yield _Arrays(path, archive, names)
 
 
@@ -135,15 +144,11 @@ def _name(info: zipfile.ZipInfo) -> str:
 
 def _read_header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> tuple[Shape, np.dtype[Any]]:
     """An array's shape and type, checked against the size that the archive gives it."""
-    read = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
-        if version not in read:
-            raise ValueError(f"array format {version} is unknown")
-        shape, _, dtype = read[version](member)
+        if version != (1, 0):  # later ones have headers of up to 4 GiB, which are read whole
+            raise ValueError(f"array format {version} is not read")
+        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
         if dtype.hasobject:
             raise ValueError(f"{info.filename} holds pickled objects")
         if (

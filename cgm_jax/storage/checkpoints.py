@@ -47,14 +47,24 @@ def write_manifest(path: Path, sha256: str, size: int, config: bytes) -> None:
     Raises:
         OSError: it cannot be written.
     """
+    _write_manifest(path, {"format": FORMAT, "sha256": sha256, "bytes": size}, config)
+
+
+def write_manifest_again(source: Path, path: Path, config: bytes) -> None:
+    """Finish a copy of a checkpoint, which may be of an older format, with another config.
+
+    Raises:
+        ReadError: the manifest of the source cannot be read.
+        OSError: it cannot be written.
+    """
+    with reading(manifest_path(source)):
+        _write_manifest(path, _manifest(source), config)
+
+
+def _write_manifest(path: Path, facts: dict[str, Any], config: bytes) -> None:
     text = config.decode(errors="replace")
-    entry = {
-        "format": FORMAT,
-        "sha256": sha256,
-        "bytes": size,
-        "config": text,
-        "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
-    }
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    entry = {**facts, "config": text, "config_sha256": digest}
     with replacing(manifest_path(path), durable=True) as file:
         file.write(json.dumps(entry).encode())
 

@@ -200,6 +200,7 @@ def test_groups_split_evenly_and_lose_no_run(largest: int, sizes: list[int]) -> 
         ({"kappa": [float("inf")]}, "kappa: inf is not a finite number"),
         ({"c_g": []}, "c_g: needs at least one value"),
         ({"c_g": [0.1, 0.1]}, "c_g: holds a value twice"),
+        ({"env": ["a.py:E", "./a.py:E"]}, "env: holds a value twice"),
         ({"batch_size": [0]}, "batch_size: 0 is not within"),
         ({"hidden_layers": [()]}, "hidden_layers: needs at least one value"),
         ({"hidden_layers": [(64, 0)]}, "hidden_layers: 0 is not within"),

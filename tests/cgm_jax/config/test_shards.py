@@ -11,7 +11,7 @@ import pytest
 from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, build_groups
-from cgm_jax.config.shards import MAX_PARTS, cut, digest, former_digest, parse_shard
+from cgm_jax.config.shards import MAX_PARTS, cut, digest, former_digests, parse_shard
 from cgm_jax.host.asked import Asked, asked_for
 from cgm_jax.host.command_line import parse
 from cgm_jax.host.to_train import _record_shard, _recorded_groups
@@ -74,18 +74,40 @@ def test_parts_belong_together_wherever_their_own_code_lies(
 ) -> None:
     one, other = (cut(own_groups(tmp_path / name), 1, 2)[1] for name in "ab")
     assert one == other
-    assert digest(groups) == former_digest(groups)  # parts of ours from earlier versions count
-    assert digest(own_groups(tmp_path / "a")) != former_digest(own_groups(tmp_path / "a"))
+    former = [former_digests(own_groups(tmp_path / name)) for name in "ab"]
+    assert former[0][0] == former[1][0]
+    assert former[0][1] != former[1][1]  # which had the folders in them
+    assert one.sweep not in former[0]
     renamed = build_groups("smoke", {"env": ["reach"], "kappa": [4.0], "seed": [0, 1]})
     assert cut(renamed, 1, 2)[1] != one
 
 
+def without(groups: list[Group], name: str) -> list[Group]:
+    """Runs as a version recorded them that did not have a setting."""
+    return [
+        Group(
+            group.settings,
+            tuple(
+                dataclasses.replace(run, values={k: v for k, v in run.values.items() if k != name})
+                for run in group.runs
+            ),
+        )
+        for group in groups
+    ]
+
+
+def test_settings_that_a_version_has_besides_do_not_make_another_sweep(groups: list[Group]) -> None:
+    assert digest(without(groups, "full_share")) == digest(groups)
+    assert digest(without(groups, "epochs")) != digest(groups)  # smoke's are not the default
+
+
+@pytest.mark.parametrize("version", [0, 1])
 def test_a_part_of_an_earlier_version_is_known_again_and_recorded_as_a_new_one(
-    tmp_path: Path,
+    version: int, tmp_path: Path
 ) -> None:
     whole = own_groups(tmp_path / "a")
     pieces, shard = cut(whole, 2, 2)
-    former = dataclasses.replace(shard, sweep=former_digest(whole))
+    former = dataclasses.replace(shard, sweep=former_digests(whole)[version])
     with RunDirectory.claimed(tmp_path / "part", fresh=True) as directory:
         directory.config.write(pieces, "smoke", "cpu", shard=former)
         words = ["--preset", "smoke", "--env", str(pieces[0].runs[0].values["env"])]

@@ -200,6 +200,7 @@ BAD_INPUT = {
     "--agent nowhere.py:Thing": "nowhere.py:Thing' is not FILE.py:NAME",
     "--curriculum full --c-g 0.5": "c_g: is no setting of curriculum full, agent ddpg, relabelling",
     "--set gain": "set: 'gain' is not NAME=VALUE",
+    "--set curriculum=x.py:Y": "set: curriculum is an option of its own, --curriculum",
     "--set discount=0.9 discount=0.8": "set: discount is given twice; several values are discount=",
     "--her None": "None is no value here; leave the option out, or --set NAME=None",
     "--leave-at=None": "None is no value here; leave the option out, or --set NAME=None",

@@ -1,7 +1,8 @@
 """Stands in for a sweep: child.py OUT STEP ... does what its n-th step says at its n-th start.
 
 A step is EPOCHS:END. It writes checkpoints for so many more epochs; then END is an exit code, or
-"kill" (as kill -9 does), or "wait": for SIGTERM, then with 75, having noted how often it came.
+"kill" (as kill -9 does), or "wait": for SIGTERM, then with 75, having noted how often it came. What
+it refuses, by 2, it says.
 """
 
 import json
@@ -35,4 +36,6 @@ if end == "wait":
     time.sleep(0.3)
     (out / "terminations").write_text(str(len(terminations)))
     end = "75"
+if end == "2":
+    print("working\nerror: kappa: is bad\x1b[2J", flush=True)
 sys.exit(int(end))

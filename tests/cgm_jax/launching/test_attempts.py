@@ -18,7 +18,7 @@ from cgm_jax.launching.attempts import MAX_FRUITLESS, Attempt, Step, next_step
 from cgm_jax.launching.cores import Cores
 from cgm_jax.launching.directory import Launch, Resources
 from cgm_jax.launching.local import Local
-from cgm_jax.launching.record import events, last_code
+from cgm_jax.launching.record import append_event, events, last_code
 from cgm_jax.launching.supervision import Ended, supervise, verdict
 from cgm_jax.storage.lock import locked
 
@@ -134,7 +134,6 @@ def test_one_part_that_fails_leaves_the_others_alone(
     made: Callable[..., Launch], capsys: pytest.CaptureFixture[str]
 ) -> None:
     launch = made(["0:2"], ["1:0"], ["1:kill", "1:0"])
-    launch.log(1).write_text("working\nerror: kappa: is bad\x1b[2J\n")
     assert run(launch) == {1: 2, 2: 0, 3: 0}
     said = capsys.readouterr().err
     assert "part 1: it ended with exit code 2; error: kappa: is bad?[2J\n" in said
@@ -276,3 +275,16 @@ def test_torn_lines_in_a_record_are_passed_over(tmp_path: Path) -> None:
     assert [entry["event"] for entry in events(record)] == ["started", "ended"]
     assert last_code(record) == 75
     assert last_code(tmp_path / "none") is None
+    append_event(record, "launched")  # which the torn line does not swallow
+    append_event(record, "started")
+    assert [entry["event"] for entry in events(record)][2:] == ["launched", "started"]
+
+
+def test_an_error_of_an_earlier_attempt_is_not_given_for_this_one(
+    made: Callable[..., Launch], capsys: pytest.CaptureFixture[str]
+) -> None:
+    launch = made(["0:kill"])
+    launch.log(1).write_text("error: cannot write to runs/a: No space left on device\n")
+    assert run(launch) == {1: -9}
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.endswith(f"5 attempts in a row have come no further; see {launch.log(1)}")

@@ -53,6 +53,33 @@ def test_a_launch_from_elsewhere_runs_no_code_that_was_not_named(
     assert len(planned) == 2
 
 
+@pytest.mark.parametrize("kind", ["env", "curriculum", "agent", "relabelling"])
+def test_no_other_way_to_choose_a_component_runs_code(
+    kind: str, folder: Path, planned: list[Launch]
+) -> None:
+    ran = folder / "ran"
+    (folder / "x.py").write_text(f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n")
+    words = ("--set", f"{kind}={folder}/x.py:Evil")
+    theirs = Launch(folder / "out", "local", 2, "smoke", words, Resources())
+    theirs.path.mkdir()
+    theirs.write()
+    with pytest.raises(SettingError, match=f"^set: {kind} is an option of its own, --{kind}$"):
+        program.main(["--resume", "out"])
+    assert not ran.exists()
+    assert not planned
+
+
+def test_a_launch_says_where_its_files_must_be(folder: Path, planned: list[Launch]) -> None:
+    own = f"{folder}/gone.py:PointMass"
+    launch = Launch(folder / "out", "local", 2, "smoke", ("--env", own), Resources())
+    launch.path.mkdir()
+    launch.write()
+    line = f"^env: {folder}/gone.py is not there any more; a launch resumes with it there$"
+    with pytest.raises(SettingError, match=line):
+        program.main(["--resume", "out"])
+    assert not planned
+
+
 def test_a_launch_from_elsewhere_runs_no_tracker_that_was_not_named(
     folder: Path, planned: list[Launch], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import io
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def test_an_array_by_its_rows_is_written_as_numpy_writes_the_whole(array: np.nda
 def test_arrays_are_read_by_their_names(tmp_path: Path) -> None:
     whole = {"a": np.arange(6000.0).reshape(2, -1), "b.c": np.array(True)}
     path = tmp_path / "a.npz"
-    np.savez_compressed(path, **whole)
+    np.savez(path, **whole)
     with open_arrays(path) as arrays:
         assert list(arrays) == ["a", "b.c"]
         for name, array in whole.items():
@@ -37,6 +38,29 @@ def test_arrays_are_read_by_their_names(tmp_path: Path) -> None:
             assert arrays[name].dtype == array.dtype
         with pytest.raises(KeyError, match="b"):
             arrays["b"]
+
+
+def test_small_files_do_not_become_large_arrays(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, a=np.zeros(10**6))
+    with pytest.raises(ValueError, match="compressed"), open_arrays(path):
+        pass
+    assert read_arrays(path, most_bytes=8 * 10**6)["a"].shape == (10**6,)
+    with pytest.raises(ValueError, match="more than 7,999,999"):
+        read_arrays(path, most_bytes=8 * 10**6 - 1)
+
+
+def test_headers_of_any_length_are_not_read(tmp_path: Path) -> None:
+    path, length = tmp_path / "a.npz", 2**26
+    header = np.lib.format.magic(2, 0) + length.to_bytes(4, "little")
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", header + b" " * length)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"array format \(2, 0\) is not read"):
+        read_arrays(path, most_bytes=2**30)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2**22
 
 
 def test_to_ask_for_a_name_reads_no_array(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from cgm_jax.config.named import load_named, name_now
 from cgm_jax.host.settings_file import read_settings_file
 from cgm_jax.results import merging
 from cgm_jax.storage import run_directory
-from cgm_jax.storage.checkpoints import damage, finished_checkpoints
+from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.refusing import refusing
 from tests.cgm_jax.results.merging.made_parts import (
@@ -77,7 +77,7 @@ def test_a_full_disk_ends_a_merge_with_74_and_leaves_nothing(
     full = refusing(errno.ENOSPC)
 
     before = sorted(tmp_path.rglob("*"))
-    for module, name in ((run_directory, "locked"), (merging, "write_manifest")):
+    for module, name in ((run_directory, "locked"), (merging, "write_manifest_again")):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, full)
             assert run(*parts, "--out", tmp_path / "out") == 74
@@ -143,6 +143,41 @@ def test_a_file_that_lay_elsewhere_for_each_part_has_one_name_in_the_whole(
     merged = json.loads((tmp_path / "out" / "config.json").read_text())
     folders = [Path(path).parent for part in merged["parts"] for path in part["files"]]
     assert folders == [Path(name).parent, Path(other).parent]
+    assert [*merged["files"]] == [name.partition(":")[0]]
+
+
+def test_the_whole_knows_what_each_part_ran_and_parts_do_not_differ_by_that(
+    parts: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran = {1: {"/there/my.py": "ab"}, 2: {"/there/my.py": "ab", "/there/other.py": "cd"}, 0: {}}
+    hosted = {0: {}, 1: {"numpy of gymnasium:x": "2.0"}, 2: {}}
+    for number, part in enumerate(parts):
+        config = json.loads((part / "config.json").read_text())
+        config |= {"files": ran[number], "hosted": hosted[number]}
+        if number == 1:
+            config["variables"] |= {"CGM_JAX_GYMNASIUM_PYTHON": "python"}
+        (part / "config.json").write_text(json.dumps(config))
+    assert run(*parts, "--out", tmp_path / "out") == 0
+    assert "bits may differ" not in capsys.readouterr().err
+    merged = json.loads((tmp_path / "out/config.json").read_text())
+    assert merged["files"] == ran[2]
+    assert merged["hosted"] == hosted[1]
+    assert merged["variables"]["CGM_JAX_GYMNASIUM_PYTHON"] == "python"
+    config = json.loads((parts[2] / "config.json").read_text())
+    config["variables"] = {"JAX_ENABLE_X64": "1"}  # which changes bits wherever it is
+    (parts[2] / "config.json").write_text(json.dumps(config))
+    assert run(*parts, "--out", tmp_path / "again") == 0
+    assert "parts differ in variables\n" in capsys.readouterr().err
+
+
+def test_a_checkpoint_of_an_older_format_is_not_said_to_be_of_this_one(
+    parts: list[Path], tmp_path: Path
+) -> None:
+    for path in (parts[0] / "checkpoints").glob("*.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 2}))
+    assert run(*parts, "--out", tmp_path / "out") == 0
+    found = finished_checkpoints(tmp_path / "out/checkpoints")
+    assert [format_of(path) for path in found] == [2, FORMAT, FORMAT, FORMAT]
 
 
 def test_other_bytes_in_a_file_of_the_same_name_are_told(

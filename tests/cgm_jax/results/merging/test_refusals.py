@@ -201,14 +201,14 @@ def test_a_part_that_cannot_be_read_just_now_is_no_bad_input(
 def test_a_merge_that_is_killed_leaves_no_sweep_however_far_it_came(
     parts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, written = merging.write_manifest, []
+    write, written = merging.write_manifest_again, []
 
     def killed(*arguments: Any) -> None:
         if len(written) == 3:  # of four
             raise KeyboardInterrupt
         written.append(write(*arguments))
 
-    monkeypatch.setattr(merging, "write_manifest", killed)
+    monkeypatch.setattr(merging, "write_manifest_again", killed)
     with pytest.raises(KeyboardInterrupt):
         run(*parts, "--out", tmp_path / "out")
     making = RunDirectory(tmp_path / ".out.merging")
