@@ -5,6 +5,7 @@ which comes with the package. `--video` also writes a video of the best one, `--
 MuJoCo's viewer; `--random` evaluates random actions, not policies.
 """
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +22,11 @@ from cgm_jax.host.command_line import (
     print_restored,
     run_program,
 )
+from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.host.startup import prepare_jax
 from cgm_jax.host.training_options import name_own_code
+from cgm_jax.machine.device_errors import DeviceError
 from cgm_jax.pretrained import NAMES as PRETRAINED
 from cgm_jax.pretrained import pretrained_policy
 from cgm_jax.results.chosen import chosen_policies, named_code
@@ -107,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program on command-line arguments; return its exit code.
 
     Raises:
-        SettingError: input is refused.
+        SettingError: input is refused, or the video cannot be written.
         SystemExit: an argument is no option, or asks for help.
     """
     options = parse(EvaluateOptions, arguments, "python -m cgm_jax.evaluate")
@@ -118,7 +121,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ends_process=owns_process(), first_words="stopping", last_words="stopped"
     ) as interruption:
         prepare_jax()
-        outcomes = _evaluate(options, plan)
+        try:
+            outcomes = _evaluate(options, plan)
+        except DeviceError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return ExitCode.FAILED
         for line in _report(outcomes, options.mask):
             print(line, flush=True)
         best = max(outcomes, key=lambda name: outcomes[name].success_rate)
@@ -253,7 +260,10 @@ def _write_video(
         raise SettingError("video: nothing was recorded")
     shown = int(recording.valid.sum())
     if not shown:
-        return f"{path} is not written: no valid episode among the first {options.video_episodes}"
+        first = min(options.video_episodes, options.episodes)
+        raise SettingError(
+            f"video: {path} is not written: no valid episode among the first {first}"
+        )
     solved = int((recording.achieved[:, -1] & recording.valid).sum())
     env: Any = outcome.env  # of which the plan knows that it can be rendered
     frames = video_frames(env, recording, options.mask, options.video_width)

@@ -83,7 +83,7 @@ def settings(kind: Class) -> Class:
 
     Raises:
         TypeError: a field is declared by none of the functions above, so that it would be no
-            option, and neither recorded nor swept.
+            option, and neither recorded nor swept; or its default is of a type that no setting has.
     """
     kind = dataclass(frozen=True)(kind)
     for item in dataclasses.fields(kind):
@@ -92,10 +92,30 @@ def settings(kind: Class) -> Class:
                 f"{item.name} of {kind.__name__} is not a setting: declare it by "
                 "traced(DEFAULT, HELP) or static(DEFAULT, HELP), or as a ClassVar"
             )
+        _check_default(kind, item)
     static_names = [item.name for item in declared(kind) if not item.metadata["traced"]]
     names = [item.name for item in dataclasses.fields(kind) if item.name not in static_names]
     _register(kind, names, static_names)
     return kind
+
+
+def _check_default(kind: type, item: "Field[Any]") -> None:
+    """Check that a setting's default is of a type that settings have.
+
+    Raises:
+        TypeError: it is not.
+    """
+    if "help" not in item.metadata:
+        return
+    traced = item.metadata["traced"]
+    if type(item.default) not in (DTYPES if traced else {*ACCEPTED, type(None)}):
+        which = "a whole number, a number or a bool of Python's"
+        which += "" if traced else ", a text, a tuple of numbers or None"
+        how = "traced" if traced else "static"
+        raise TypeError(
+            f"{item.name} of {kind.__name__} has the default {item.default!r:.60}, but that of a "
+            f"{how} setting is {which}"
+        )
 
 
 def _register(kind: type, names: Sequence[str], static_names: Sequence[str]) -> None:

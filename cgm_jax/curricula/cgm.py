@@ -75,7 +75,7 @@ class CGM(Curriculum[CGMState]):
     """The paper's curriculum. Its settings, with the names of the options."""
 
     c_g: float = traced(0.1, "success rate aimed at by the mask sampler", 0, 1)
-    kappa: float = traced(32.0, "sharpness of the mask sampler; 0: none is preferred", 0, 1e6)
+    kappa: float = traced(32.0, "how strongly masks near c_g are preferred; 0: not at all", 0, 1e6)
     full_share: float = traced(0.0, "share of episodes that get the full goal in any case", 0, 1)
     factorised: bool = static(True, "estimate masks as if sub-goals succeeded independently")
     mask_levels: bool = static(False, "draw a difficulty first, then a mask of that difficulty")

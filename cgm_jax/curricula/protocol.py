@@ -30,10 +30,10 @@ class Goals(struct.PyTreeNode):
 
     Attributes:
         desired: [E, n].
-        mask: 1 counts, 0 counts as achieved, [E, n].
+        mask: 1 counts, 0 counts as achieved, and nothing else, [E, n].
         threshold: achieved closer than this, [E].
         start: states of the environment in which the episodes begin, leading axis [E]; None for
-            those of a reset.
+            those of a reset. See `View.first`.
         memo: what the curriculum wants back with the outcomes, any pytree of arrays.
     """
 
@@ -71,7 +71,8 @@ class View(NamedTuple):
     """What a curriculum may look at, read only.
 
     Attributes:
-        first: states of the E environments after their reset, which hold what they observe.
+        first: states of the E environments after their reset, which hold what they observe. Those
+            of an environment of the user's own are wrapped: its own are their `state`.
         achieved: goals achieved in replay, [C, T + 1, n].
         filled: how many of the C episodes are real, the first ones; int32 scalar.
         value: from observations [..., o] and goals [..., n] to the return that each of the

@@ -7,6 +7,7 @@ dimension. A sub-goal is the mask that keeps one dimension.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -107,6 +108,12 @@ def reward_range(env: GoalEnvironment) -> tuple[float, float]:
 def may_end(env: GoalEnvironment) -> bool:
     """Whether the environment ends episodes before their last step."""
     return hasattr(env, "is_terminal")
+
+
+def ends(env: GoalEnvironment, states: Any) -> jax.Array:
+    """Whether an environment that may end episodes ends them in states [E, ...], [E] bool."""
+    rule = env.is_terminal  # pyright: ignore[reportAttributeAccessIssue]
+    return jnp.asarray(jax.vmap(rule)(states), bool)
 
 
 def _success_rule(env: GoalEnvironment) -> Rule | None:

@@ -12,9 +12,19 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.user_code import user_code
 from cgm_jax.envs import GoalEnvironment, Stage
 from cgm_jax.loop.own_environment import OwnEnvironment
-from cgm_jax.loop.own_states import ENTRIES, convertible, described, path_text, with_unread_of
+from cgm_jax.loop.own_states import (
+    ENTRIES,
+    convertible,
+    described,
+    path_text,
+    unread_additions,
+    with_unread_of,
+)
 
 PROTOCOL = ("reset", "step", "action_size", "episode_length", "distance_threshold")
+
+ROUNDING = 1e-3
+"""By which a reward may miss its range without a word."""
 
 FEW_OPERATIONS = 2_000
 """A reset and a step of up to so many compile in seconds: they are run to look at their values."""
@@ -57,9 +67,11 @@ def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
     for rule in ("goal_success", "goal_reward", "is_terminal"):
         if not hasattr(own, rule):
             continue
+        function = getattr(own, rule)
         with user_code("env", f"{rule} of {name}"):
             inputs = (first,) if rule == "is_terminal" else (goal, goal)
-            shape = jax.eval_shape(getattr(own, rule), *inputs).shape
+            shape = jax.eval_shape(function, *inputs).shape
+            jax.eval_shape(jax.vmap(jax.vmap(function)), *_many(inputs))
         if shape != ():
             raise SettingError(f"env: {rule} of {name} returns shape {shape}, not a scalar")
 
@@ -81,6 +93,8 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
         second = jax.eval_shape(env.step, first.state, action)
     _check_entries(second, f"step of {name}")
     _check_alike(first.state, with_unread_of(first.state, second), name, "step")
+    if dropped := unread_additions(first.state, second):
+        own.remarks.append(f"step of {name} adds {dropped[0]}, which reset lacks: it is not kept")
     _check_rules(own, name, first)
     if hasattr(own, "restart"):
         with user_code("env", f"restart of {name}"):
@@ -92,6 +106,13 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
         actions = jax.ShapeDtypeStruct((2, 3, own.action_size), np.float32)
         many = jax.eval_shape(jax.vmap(jax.vmap(own.reset)), keys)
         jax.eval_shape(jax.vmap(jax.vmap(own.step)), many, actions)
+        if hasattr(own, "restart"):
+            jax.eval_shape(jax.vmap(jax.vmap(own.restart)), many)
+
+
+def _many(shapes: Any) -> Any:
+    """Shapes of what is mapped twice, as over environments and runs."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((2, 3, *leaf.shape), leaf.dtype), shapes)
 
 
 def _check_stages(stages: Sequence[Stage], obs: dict[str, Any], name: str) -> None:
@@ -100,11 +121,15 @@ def _check_stages(stages: Sequence[Stage], obs: dict[str, Any], name: str) -> No
     Raises:
         SettingError: they are not what the stage says.
     """
+    seen = obs["observation"], obs["desired_goal"]
     for number, stage in enumerate(stages, start=1):
+        functions = ((stage.achieved, obs["observation"]), (stage.desired, *seen))
         with user_code("env", f"stage {number} of {name}"):
+            for function, *inputs in functions:
+                jax.eval_shape(jax.vmap(jax.vmap(function)), *_many(inputs))
             results = {
                 "achieved": jax.eval_shape(stage.achieved, obs["observation"]),
-                "desired": jax.eval_shape(stage.desired, obs["observation"], obs["desired_goal"]),
+                "desired": jax.eval_shape(stage.desired, *seen),
             }
         for function, result in results.items():
             is_array = isinstance(result, jax.ShapeDtypeStruct)
@@ -170,6 +195,12 @@ def _check_rewards(own: OwnEnvironment, obs: dict[str, np.ndarray], name: str) -
             reward = float(own.goal_reward(achieved, goal))
         if not np.isfinite(reward):
             raise SettingError(f"env: goal_reward of {name} is {reward} {where}")
+        least, greatest = own.reward_range
+        if not least - ROUNDING <= reward <= greatest + ROUNDING:
+            own.remarks.append(
+                f"goal_reward of {name} is {reward:g} {where}, beyond its reward_range of "
+                f"{least:g} to {greatest:g}, to which rewards are cut"
+            )
 
 
 def _check_values(own: OwnEnvironment, name: str) -> None:

@@ -3,13 +3,12 @@
 What training does not read may be of any type and change it from step to step; the scan over an
 episode gets it in the form that `reset` gave it. Reward, done and metrics are mere outputs, and may
 even change their shape. The environment may keep something for itself in info, in further entries
-of the observation, and in pipeline_state; of those shapes must last.
+of the observation, and in pipeline_state; of those shapes must last, and types lose nothing.
 """
 
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -57,6 +56,7 @@ class OwnEnvironment:
         stages: see `StagedEnvironment`; empty where there are none.
         remarks: lines about what is allowed but hardly meant.
         compiles_physics: whether compiling it is a matter of minutes and of much memory.
+        compiler_options, calls_physics: of this package's that may be inside, see environment.py.
     """
 
     def __init__(self, env: Any, name: str) -> None:
@@ -73,6 +73,8 @@ class OwnEnvironment:
             self.render_frame = self._render_frame
         self._name = name
         self._take_rules(env, name)
+        self.compiler_options = getattr(env, "compiler_options", {})
+        self.calls_physics = getattr(env, "calls_physics", False)
 
     def _take_rules(self, env: Any, name: str) -> None:
         """What the environment has of a `JudgingEnvironment`."""
@@ -84,7 +86,7 @@ class OwnEnvironment:
             self.reward_range = reward_range_of(env, name)
             self.goal_reward = env.goal_reward
         if hasattr(env, "is_terminal"):
-            self.is_terminal = lambda state: jnp.asarray(env.is_terminal(state.state), bool)
+            self.is_terminal = lambda state: env.is_terminal(state.state)
 
     def reset(self, rng: jax.Array) -> OwnState:
         """Start an episode."""

@@ -1,5 +1,6 @@
 """States of an environment of the user's own, in the form that a scan over an episode needs."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -8,12 +9,14 @@ import numpy as np
 
 ENTRIES = ("observation", "achieved_goal", "desired_goal")
 OUTPUTS = ("reward", "done", "metrics")
+KEPT = ("info", "obs")
 WARNINGS = "physics_warnings"
 
 
 def warnings_of(state: Any) -> jax.Array:
     """1 if a state tells of broken physics, else 0; NaN tells of it, too."""
-    reported = (getattr(state, "metrics", None) or {}).get(WARNINGS, 0.0)
+    metrics = getattr(state, "metrics", None)  # of any type
+    reported = metrics.get(WARNINGS, 0.0) if isinstance(metrics, Mapping) else 0.0
     return jnp.any(~(jnp.asarray(reported) <= 0)).astype(jnp.float32)
 
 
@@ -23,7 +26,10 @@ def as_before(before: Any, after: Any) -> Any:
 
 
 def with_unread_of(before: Any, after: Any) -> Any:
-    """`after`, with what nothing reads in the structure and the types that it has in `before`."""
+    """`after`, with what nothing reads in the structure and the types that it has in `before`.
+
+    What an environment keeps for itself stays as it is where its type would lose something of it.
+    """
     fields = {
         name: _fitted(getattr(before, name), getattr(after, name), is_output=name in OUTPUTS)
         for name in (*OUTPUTS, "info")
@@ -43,12 +49,43 @@ def _fitted(before: Any, after: Any, *, is_output: bool) -> Any:
             for name, value in before.items()
         }
     fits = jax.tree.structure(before) == jax.tree.structure(after) and all(
-        np.shape(old) == np.shape(new) and (dtype_of(old) == dtype_of(new) or not is_key(old, new))
+        np.shape(old) == np.shape(new) and _takes(old, new, is_output=is_output)
         for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
     )
     if fits:
         return jax.tree.map(retyped, after, before)
     return before if is_output else after
+
+
+def _takes(old: Any, new: Any, *, is_output: bool) -> bool:
+    """Whether a leaf may become one of another's type: of what is kept, without any loss."""
+    if is_key(old, new):
+        return dtype_of(old) == dtype_of(new)
+    ranks = [next(i for i, kind in enumerate(KINDS) if _is(leaf, kind)) for leaf in (new, old)]
+    return is_output or ranks[0] <= ranks[1]
+
+
+KINDS = (jnp.bool_, jnp.integer, jnp.floating, jnp.generic)
+"""Of numbers: one of a kind can be one of a later kind."""
+
+
+def _is(leaf: Any, kind: Any) -> bool:
+    return jnp.issubdtype(dtype_of(leaf), kind)
+
+
+def unread_additions(before: Any, after: Any) -> list[str]:
+    """Entries of what an environment keeps for itself that only `after` has, as Python writes them.
+
+    No scan over an episode can take them along.
+    """
+    kept = [(name, getattr(before, name, None), getattr(after, name, None)) for name in KEPT]
+    return [
+        f"{name}[{entry!r}]"
+        for name, old, new in kept
+        if isinstance(old, Mapping) and isinstance(new, Mapping)
+        for entry in new
+        if entry not in old
+    ]
 
 
 def retyped(leaf: Any, like: Any) -> Any:

@@ -12,7 +12,7 @@ from cgm_jax.curricula.protocol import Goals, Outcomes
 from cgm_jax.envs import GoalEnvironment
 from cgm_jax.envs.goals import apply_mask
 from cgm_jax.loop.exploration import Exploration
-from cgm_jax.loop.judging import may_end, subgoals_succeed, succeeds
+from cgm_jax.loop.judging import ends, may_end, subgoals_succeed, succeeds
 from cgm_jax.replay.ring import Episodes
 
 State = Any
@@ -180,19 +180,19 @@ def _step_of(
 ) -> Callable[[_Carry, tuple[Exploration | None, jax.Array]], tuple[_Carry, tuple[Any, ...]]]:
     """A step of all environments: from what is carried, and the noise and number of the step."""
     count = goals.mask.shape[0]
-    ends = jax.vmap(env.is_terminal) if may_end(env) else None  # pyright: ignore
+    ending = may_end(env)
 
     def step(carry: _Carry, now: tuple[Any, jax.Array]) -> tuple[_Carry, tuple[Any, ...]]:
         (state, visited, visits), (noise, index) = carry, now
         observation, achieved = state.obs["observation"], state.obs["achieved_goal"]
         action = policy(observation, apply_mask(goals.desired, goals.mask, achieved), noise)
         next_state = jax.vmap(env.step)(state, action)
-        ended = None if ends is None else ends(state)
+        ended = ends(env, state) if ending else None
         if ended is not None:
             next_state = where_rows(ended, state, next_state)
         warnings = _warnings(state, count)
         if visits is not None:
-            now_visited = visits == index if ends is None else visits[index] & ~ends(next_state)
+            now_visited = visits[index] & ~ends(env, next_state) if ending else visits == index
             visited = where_rows(now_visited, next_state, visited)
         left = (observation, achieved, action, warnings, ended, keep(state))
         return (next_state, visited, visits), left
@@ -215,7 +215,7 @@ def _finished(
         desired_goal=goals.desired,
         mask=goals.mask,
         threshold=goals.threshold,
-        length=None if ended is None else _length(ended, jax.vmap(env.is_terminal)(last)),  # pyright: ignore
+        length=None if ended is None else _length(ended, ends(env, last)),
     )
     broken = warnings.sum(axis=0) + _warnings(last, goals.mask.shape[0])
     rollout = _judge(env, episodes, goals, broken, last.obs["desired_goal"])

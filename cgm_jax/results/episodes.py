@@ -14,6 +14,7 @@ from cgm_jax.loop.environment import compiler_options, is_hosted
 from cgm_jax.loop.exploration import Exploration
 from cgm_jax.loop.judging import succeeds
 from cgm_jax.loop.own_environment import OwnEnvironment
+from cgm_jax.loop.own_states import is_key
 from cgm_jax.loop.rollout import Policy, Rollout, drawn_goals, roll_out
 from cgm_jax.machine.device_errors import device_errors
 from cgm_jax.replay.ring import Episodes
@@ -33,10 +34,11 @@ CHUNK_EPISODES = 256
 and memory is bounded.
 """
 
+HOSTED_EPISODES = 16
+"""The same of a hosted environment, where each needs a simulator of its own."""
+
 CHUNK_ROWS = 4096
-"""Episodes over all policies in one such call; those of hosted environments, each of which needs a
-simulator of its own, are of one policy.
-"""
+"""Episodes over all policies in one such call; those of hosted environments are of one policy."""
 
 
 class Recording(struct.PyTreeNode):
@@ -119,7 +121,8 @@ def play_all(
 
     options = compiler_options(env)
     program = jax.jit(play_side_by_side, static_argnums=2, compiler_options=options)
-    size = min(plan.episodes, CHUNK_EPISODES)
+    # Each episode of a hosted environment takes a simulator of its own.
+    size = min(plan.episodes, HOSTED_EPISODES if is_hosted(env) else CHUNK_EPISODES)
     width = 1 if is_hosted(env) else min(count, max(1, CHUNK_ROWS // size))
     outcomes: list[Outcome] = []
     for first in range(0, count, width):
@@ -130,7 +133,7 @@ def play_all(
         for start, chunk in _chunks(plan, size):
             recorded = min(max(0, plan.recorded - start), size)
             with device_errors():
-                result: Result = jax.tree.map(np.asarray, program(block, chunk, recorded))
+                result: Result = jax.tree.map(_on_host, program(block, chunk, recorded))
             successful, held, recording = result
             successes += successful
             valid += held
@@ -192,11 +195,21 @@ def _join(parts: list[Recording]) -> Recording | None:
     if not parts:
         return None
     return Recording(
-        states=jax.tree.map(lambda *rows: np.concatenate(rows, 1), *(p.states for p in parts)),
+        states=jax.tree.map(_joined, *(part.states for part in parts)),
         desired_goal=jnp.concatenate([part.desired_goal for part in parts]),
         achieved=jnp.concatenate([part.achieved for part in parts]),
         valid=jnp.concatenate([part.valid for part in parts]),
     )
+
+
+def _on_host(leaf: jax.Array) -> np.ndarray | jax.Array:
+    """An array of numpy's; of keys, which numpy does not know, as it is."""
+    return leaf if is_key(leaf) else np.asarray(leaf)
+
+
+def _joined(*rows: Any) -> Any:
+    """Steps of episodes, [T + 1, E, ...] each, beside each other."""
+    return (jnp if is_key(*rows) else np).concatenate(rows, 1)
 
 
 def _recording(env: GoalEnvironment, rollout: Rollout, count: int) -> Recording:

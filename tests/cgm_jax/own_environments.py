@@ -72,12 +72,12 @@ class Careless(Base):
     """Outputs of any shape and type; a counter and a key that it keeps for itself."""
 
     def reset(self, rng: jax.Array) -> State:
-        info = {"rng": rng, "steps": 0, "broken": jnp.zeros((), bool)}
+        info = {"rng": rng, "steps": 0.0, "broken": 0}
         return super().reset(rng).replace(info=info, reward=0, done=False)
 
     def step(self, state: State, action: jax.Array) -> State:
         rng, noise = jax.random.split(state.info["rng"])
-        steps = state.info["steps"] + 1.0
+        steps = state.info["steps"] + 1
         after = super().step(state, action + 0.0 * jax.random.normal(noise))
         return after.replace(
             reward=-jnp.ones(3),
@@ -96,6 +96,23 @@ class PlainNumbers(Base):
     def step(self, state: State, action: jax.Array) -> State:
         time = state.pipeline_state["time"] + jnp.float32(0.1)
         return super().step(state, action).replace(pipeline_state={"time": time})
+
+
+class NoMetrics(Base):
+    """Its metrics are no dict, which nothing reads."""
+
+    def state(self, position: jax.Array, goal: jax.Array) -> State:
+        return super().state(position, goal).replace(metrics=jnp.zeros(3))
+
+
+class SlowClock(Base):
+    """A clock that begins as a whole number would stand still."""
+
+    def reset(self, rng: jax.Array) -> State:
+        return super().reset(rng).replace(info={"time": 0})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return super().step(state, action).replace(info={"time": state.info["time"] + 0.1})
 
 
 class NaNWarning(Base):

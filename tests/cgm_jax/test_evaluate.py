@@ -16,6 +16,7 @@ from cgm_jax.config.fields import SettingError
 from cgm_jax.config.settings import Settings
 from cgm_jax.evaluate import _report, main
 from cgm_jax.loop.environment import make_environment
+from cgm_jax.machine.device_errors import DeviceError
 from cgm_jax.results.episodes import Outcome
 from cgm_jax.results.plan import Plan
 from cgm_jax.results.policies import evaluate_random
@@ -192,6 +193,35 @@ def test_a_frame_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SettingError, match=r"returns int32\[48,64,3\], not uint8\[48,64,3\]"):
         main(["--random", "--env", own, "--video", str(video), "--video-width", "64"])
     assert not video.exists()
+
+
+@pytest.mark.skipif(not can_render(), reason="this machine has no off-screen rendering")
+def test_a_video_without_a_valid_episode_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\nfrom tests.cgm_jax.own_environments import NeverValid\n\n"
+        "class Shown(NeverValid):\n    def render_frame(self, state, width, height):\n"
+        "        return np.zeros((height, width, 3), np.uint8)\n"
+    )
+    video = tmp_path / "out.gif"
+    words = ["--random", "--env", f"{tmp_path / 'mine.py'}:Shown", "--episodes", "3"]
+    line = f"^video: {video} is not written: no valid episode among the first 3$"
+    with pytest.raises(SettingError, match=line):
+        main([*words, "--video", str(video)])
+    assert capsys.readouterr().out.startswith("random  no valid episode, 3 dropped")
+    assert not video.exists()
+
+
+def test_what_fails_below_ends_a_program_that_calls_main_with_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise DeviceError("out of memory")
+
+    monkeypatch.setattr("cgm_jax.results.policies.evaluate_random", fail)
+    assert main(["--random", "--env", "reach"]) == 1
+    assert capsys.readouterr().err == "error: out of memory\n"
 
 
 def test_what_fails_below_is_one_line() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from cgm_jax.config.components import ROOMS, builtin, builtin_fields, component
 from cgm_jax.config.fields import SettingError, declared
+from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import LOOP_FIELDS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -51,6 +52,25 @@ def test_components_that_share_an_option_declare_it_alike() -> None:
     for option, owners in shared.items():
         first = next(iter(owners.values()))
         assert all(said == first for said in owners.values()), (option, owners)
+
+
+def test_an_own_component_shares_no_setting_by_accident(tmp_path: Path) -> None:
+    growing = (EXAMPLES / "my_curriculum.py").read_text()
+    path, line = tmp_path / "mine.py", 'discount: float = traced(0.9, "of what I practise", 0, 1)'
+    path.write_text(growing.replace("    gain: float", f"    {line}\n    gain: float"))
+    with pytest.raises(SettingError) as caught:
+        hyperparameters(curriculum=f"{path}:Growing")
+    assert str(caught.value).startswith(
+        f"agent: ddpg and {path}:Growing both have a setting called discount, but not the same"
+    )
+    path.write_text(
+        "from cgm_jax.agents.ddpg import DDPG\nfrom cgm_jax.config.fields import shared\n"
+        + path.read_text().replace(line, 'discount: float = shared(DDPG, "discount")')
+    )
+    again = tmp_path / "again.py"
+    path.rename(again)
+    hyper = hyperparameters(curriculum=f"{again}:Growing", discount=0.7)
+    assert getattr(hyper.curriculum, "discount") == hyper.agent.discount == 0.7  # noqa: B009
 
 
 def test_no_component_has_an_option_of_the_loop() -> None:

@@ -1,8 +1,9 @@
 """How settings are declared."""
 
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from cgm_jax.config.components import component
@@ -24,6 +25,22 @@ def test_a_field_that_is_declared_as_no_setting_is_refused(tmp_path: Path) -> No
         "setting: declare it by traced(DEFAULT, HELP) or static(DEFAULT, HELP), or as a ClassVar "
         f"({tmp_path / 'mine.py'}, line {line})"
     )
+
+
+@pytest.mark.parametrize(
+    ("declare", "default"),
+    [
+        (traced, np.float32(0.5)),
+        (traced, (64, 64)),
+        (traced, None),
+        (traced, "a"),
+        (static, Path()),
+    ],
+)
+def test_a_default_of_a_type_that_no_setting_has_is_refused(declare: Any, default: Any) -> None:
+    body = {"__annotations__": {"gain": object}, "gain": declare(default, "help")}
+    with pytest.raises(TypeError, match=r"^gain of Own has the default .* setting is a whole"):
+        settings(type("Own", (), body))
 
 
 def test_what_is_of_the_class_is_no_field_and_stays_allowed() -> None:

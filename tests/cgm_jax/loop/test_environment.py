@@ -76,6 +76,7 @@ REFUSED = {
     "OtherMemoryAfterStep": (
         "info['past'] of {} is float32[3] after reset and float32[4] after step"
     ),
+    "SlowClock": "info['time'] of {} is int32[] after reset and float32[] after step",
     "MovingGoal": "step of {} changes desired_goal, which holds for an episode",
     "FarBeyondFloat32": "distance_threshold of {}, 0.1, is less than float32 can tell apart",
     "NoState": "reset of {} returns NoneType, not a brax State",
@@ -125,7 +126,7 @@ def play(env: Any) -> Any:
     return roll_out(env, towards_the_goal, first, drawn_goals(env, first))
 
 
-@pytest.mark.parametrize("name", ["BooleanDone", "Careless", "PlainNumbers"])
+@pytest.mark.parametrize("name", ["BooleanDone", "Careless", "PlainNumbers", "NoMetrics"])
 def test_what_training_does_not_read_cannot_break_it(name: str) -> None:
     rollout, expected = play(own(name)), play(Base())
     np.testing.assert_allclose(
@@ -141,10 +142,13 @@ def test_what_an_environment_keeps_for_itself_is_kept() -> None:
     for _ in range(4):
         state = env.step(state, jnp.zeros(2))
     assert state.state.info["steps"] == 4
-    assert state.state.info["steps"].dtype == jnp.int32  # as after reset
-    assert bool(state.state.info["broken"])
+    assert state.state.info["steps"].dtype == jnp.float32
+    assert state.state.info["broken"] == 1
+    assert state.state.info["broken"].dtype == jnp.int32  # as after reset
     assert state.state.info["rng"] != first.state.info["rng"]
     assert "extra" not in state.state.info
+    (remark,) = remarks_on(env)
+    assert remark == f"step of {OWN}:Careless adds info['extra'], which reset lacks: it is not kept"
 
 
 def test_physics_warnings_of_any_type_are_noticed() -> None:

@@ -16,6 +16,7 @@ from cgm_jax.config.fields import SettingError, settings, stack
 from cgm_jax.curricula.accuracy import Accuracy
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
 from cgm_jax.loop.cycle import plan
+from cgm_jax.loop.environment import remarks_on
 from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
 from cgm_jax.loop.learning import minibatches
 from cgm_jax.loop.own_checks import checked
@@ -315,6 +316,16 @@ def test_rewards_are_kept_within_their_range(env: Any) -> None:
     assert reward.dtype == jnp.float32
 
 
+def test_rewards_beyond_their_range_are_remarked_on() -> None:
+    remarks = remarks_on(checked(Generous(), "it"))
+    (remark,) = [line for line in remarks if "where the goal is met exactly" in line]
+    line = (
+        "goal_reward of it is 7 where the goal is met exactly, beyond its reward_range of -1 to 0"
+    )
+    assert remark == f"{line}, to which rewards are cut"
+    assert remarks_on(checked(Rewarding(), "it")) == []
+
+
 def test_rewards_without_a_range_are_refused_before_any_training() -> None:
     with pytest.raises(SettingError, match=r"^env: it has goal_reward, so it needs reward_range"):
         make_trainer(NoRange(), TINY).init(tiny())
@@ -361,6 +372,14 @@ class VectorReward(Ruled):
         return achieved_goal - desired_goal
 
 
+class UnmappedRule(Base):
+    """A rule outside of JAX that cannot be vmapped."""
+
+    def goal_success(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
+        shape = jax.ShapeDtypeStruct((), bool)
+        return jax.pure_callback(lambda a, b: np.all(a == b), shape, achieved_goal, desired_goal)
+
+
 class UndefinedAtTheGoal(Ruled):
     def goal_reward(self, achieved_goal: jax.Array, desired_goal: jax.Array) -> jax.Array:
         off = desired_goal - achieved_goal
@@ -373,6 +392,7 @@ REFUSED = {
     ThreeTolerances: r"goal_tolerance of it has shape \(3,\), goals have \(2,\)",
     NoTolerance: "goal_tolerance of it is .*, not one number per dimension",
     VectorReward: r"goal_reward of it returns shape \(2,\), not a scalar",
+    UnmappedRule: "goal_success of it fails with NotImplementedError",
     UndefinedAtTheGoal: "goal_reward of it is nan where the goal is met exactly",
 }
 

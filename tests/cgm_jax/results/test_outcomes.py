@@ -3,8 +3,10 @@
 # pyright: reportAttributeAccessIssue=false
 
 import json
+from pathlib import Path
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -126,6 +128,23 @@ def test_chunks_do_not_change_what_is_found(
         np.testing.assert_array_equal(recording.desired_goal, again.desired_goal)
         np.testing.assert_array_equal(recording.achieved, again.achieved)
         assert recording.states.sensors.shape == again.states.sensors.shape
+
+
+def test_what_is_recorded_of_an_own_environment_may_hold_keys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(episodes, "CHUNK_EPISODES", 4)
+    (tmp_path / "mine.py").write_text(
+        "from tests.cgm_jax.own_environments import Careless\n\n"
+        "class Shown(Careless):\n    def render_frame(self, state, width, height): ...\n"
+    )
+    careless = Settings(env=f"{tmp_path / 'mine.py'}:Shown")
+    recording = evaluate_random(careless, Plan(episodes=6, seed=0, recorded=6)).recording
+    assert recording is not None
+    keys = jax.random.key_data(recording.states.info["rng"])
+    assert keys.shape[:2] == (26, 6)
+    assert len(np.unique(keys.reshape(26 * 6, -1), axis=0)) == 26 * 6
+    assert recording.states.info["steps"][:, 5].tolist() == list(range(26))
 
 
 @pytest.mark.parametrize(("field", "value"), [("episodes", 0), ("seed", -1), ("mask", "xx")])
