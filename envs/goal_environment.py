@@ -16,7 +16,8 @@ class GoalEnvironment(Protocol):
 
     The trainer vmaps both functions over environments, and maps them over runs. `State` is brax's;
     `State.obs` is a dict of float32 arrays: `observation` [observation_size],
-    `achieved_goal` [goal_size] and `desired_goal` [goal_size].
+    `achieved_goal` [goal_size] and `desired_goal` [goal_size]. Nothing in `observation` tells the
+    goal: hindsight, masks and curricula change that one alone.
 
     A goal is achieved where the Euclidean distance of achieved and desired goal is below
     `distance_threshold`; a masked goal where the distance over its kept dimensions is. The
@@ -29,7 +30,7 @@ class GoalEnvironment(Protocol):
 
     Reward, done and the other metrics may be anything, and differ between `reset` and `step`. The
     goal stays what it was for the whole episode; and what an environment keeps for itself, in
-    `pipeline_state`, in `info` or in further entries of `obs`, keeps its shapes.
+    `pipeline_state`, in `info` or in further entries of `obs`, keeps its shapes and types.
 
     Attributes:
         action_size: number of action dimensions, each in [-1, 1].
