@@ -246,6 +246,53 @@ def test_a_followed_page_takes_up_new_epochs_and_keeps_what_is_chosen(
         assert "over epochs" in view.locator("#learning-caption").inner_text()
 
 
+def sizes(path: Path, epochs: Mapping[int, int]) -> Path:
+    """A directory of batch sizes, each trained for so many epochs without any success."""
+    rows = [
+        row
+        for size, count in epochs.items()
+        for row in timed_run([0.0] * count, 0, ("batch_size",), run=f"b{size}", batch_size=size)
+    ]
+    return directory(path, rows)
+
+
+def test_what_is_hidden_stays_hidden_when_training_adds_values(
+    browser: Any, tmp_path: Path
+) -> None:
+    out = tmp_path / "page.html"
+    shown = ".chip[aria-pressed=true]"
+    write_page(out, [read_sweep(sizes(tmp_path / "two", {128: 3, 512: 3}))])
+    with opened(browser, out) as view:
+        view.locator(".chip", has_text=re.compile("^512$")).click()
+        assert view.locator(shown).all_inner_texts() == ["128"]
+        write_page(out, [read_sweep(sizes(tmp_path / "three", {128: 3, 512: 3, 256: 1}))])
+        view.reload()
+        view.wait_for_selector("body[data-ready]")
+        assert view.locator(shown).all_inner_texts() == ["128", "256"]
+
+
+def test_what_was_not_reached_stands_where_its_own_training_ended(
+    browser: Any, tmp_path: Path
+) -> None:
+    out = tmp_path / "page.html"
+    write_page(out, [read_sweep(sizes(tmp_path / "run", {128: 3, 256: 6, 512: 12}))])
+    with opened(browser, out, "x=epoch&across=batch_size") as view:
+        lines = view.locator("#levels-views svg[role=img]").last
+        heights = lines.locator("g[aria-label=dot]").last.locator("path, circle")
+        places = heights.evaluate_all("dots => dots.map(dot => dot.getBoundingClientRect().y)")
+        least, middle, most = sorted(places, reverse=True)
+        assert (least - middle) / (least - most) == pytest.approx(3 / 9, abs=0.02)
+
+
+def test_a_run_without_a_valid_episode_is_told(browser: Any, pages: dict[str, Path]) -> None:
+    with opened(browser, pages["never"]) as view:
+        assert [row[2] for row in table(view, "final")] == ["no valid episode"]
+        assert "Open dots are runs without a valid" in view.locator("#final-caption").inner_text()
+    with opened(browser, pages["single"]) as view:
+        assert [row[2] for row in table(view, "final")] == ["25\u00a0%"]
+        assert "or of as many as there are" in view.locator("#final-caption").inner_text()
+
+
 def test_runs_that_left_early_are_told(browser: Any, tmp_path: Path) -> None:
     rows = [*timed_run([0.5] * 3, 0), *timed_run([0.2] * 9, 1)]
     path = directory(tmp_path / "run", rows, epochs=9, leave_at=0.5)
