@@ -106,8 +106,24 @@ class Slurm:
         self._asked, self._accepted = 0.0, False
 
     def check(self) -> None:
-        """See `Engine`."""
+        """See `Engine`: ask for a job with these resources, which SLURM is not to run."""
         job_states()
+        given = {
+            "time": self._resources.minutes,
+            "cpus-per-task": self._cores,
+            "gpus-per-node": self._resources.gpus or None,
+            "mem": _megabytes(self._resources),
+            **{name.replace("_", "-"): value for name, value in self._sbatch.items()},
+        }
+        options = [
+            f"--{name}" if value is True else f"--{name}={value}"
+            for name, value in given.items()
+            if value is not None
+        ]
+        try:
+            _answer(["sbatch", "--test-only", *options, "--wrap=true"])
+        except _NoAnswerError as error:
+            raise SettingError(f"on: SLURM refuses the jobs: {error}") from None
 
     def variables_here(self) -> None:
         """See `Engine`."""
@@ -118,8 +134,7 @@ class Slurm:
 
         self._launch, resources = launch, self._resources
         executor = submitit.SlurmExecutor(_new_folder(launch.path), max_num_timeout=ENDLESS)
-        memory = None if resources.memory is None else f"{int(resources.memory * 2**10)}M"
-        optional = {"gpus_per_node": resources.gpus, "mem": memory}
+        optional = {"gpus_per_node": resources.gpus, "mem": _megabytes(resources)}
         executor.update_parameters(
             job_name=f"cgm_jax-{launch.path.name}"[:60],
             time=resources.minutes,
@@ -245,6 +260,11 @@ def _entering(directory: Path) -> str:
     return f"cd -- {shlex.quote(str(directory))} 2>/dev/null || cd {shlex.quote(ELSEWHERE)}"
 
 
+def _megabytes(resources: Resources) -> str | None:
+    """Memory of a job, as sbatch has it."""
+    return None if resources.memory is None else f"{int(resources.memory * 2**10)}M"
+
+
 def job_states() -> dict[str, str]:
     """The states of this user's jobs, those that ended a while ago aside.
 
@@ -253,14 +273,30 @@ def job_states() -> dict[str, str]:
     """
     command = ["squeue", "--noheader", "--array", "--me", "--states=all", "--format=%i|%T"]
     try:
+        answer = _answer(command)
+    except _NoAnswerError as error:
+        raise SettingError(f"on: SLURM does not answer: {error}") from None
+    pairs = (line.strip().partition("|") for line in answer.splitlines())
+    return {job: state for job, _, state in pairs if job}
+
+
+class _NoAnswerError(Exception):
+    """A command of SLURM's has failed; in one line, why."""
+
+
+def _answer(command: Sequence[str]) -> str:
+    """What a command of SLURM's prints.
+
+    Raises:
+        _NoAnswerError: it fails.
+    """
+    try:
         result = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise SettingError(f"on: SLURM does not answer: {error}") from None
+        raise _NoAnswerError(str(error)) from None
     if result.returncode:
-        said = " ".join(result.stderr.split())[:300]
-        raise SettingError(f"on: SLURM does not answer: {said}")
-    pairs = (line.strip().partition("|") for line in result.stdout.splitlines())
-    return {job: state for job, _, state in pairs if job}
+        raise _NoAnswerError(" ".join(result.stderr.split())[:300])
+    return result.stdout
 
 
 def sbatch_options(texts: Sequence[str]) -> dict[str, Any]:

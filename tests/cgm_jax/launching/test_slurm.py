@@ -67,6 +67,16 @@ def test_jobs_that_are_requeued_signalled_and_killed_lose_nothing(tmp_path: Path
     assert_as_if_never_disturbed(whole, out)
 
 
+def test_what_slurm_refuses_leaves_nothing_behind(tmp_path: Path) -> None:
+    command = launch("slurm", tmp_path / "out", "--sbatch", "partition=nosuch")
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: on: SLURM refuses the jobs: ")
+    assert "invalid partition" in line
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_launcher_that_is_stopped_leaves_its_jobs_and_takes_them_up_again(
     tmp_path: Path,
 ) -> None:
