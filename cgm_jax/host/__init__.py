@@ -11,6 +11,7 @@
     differences.py      why what is asked for is not what a directory holds
     extension.py        more epochs; warm_start.py what another run has learned
     jobs.py             what is trained side by side, as memory allows
+    beginning.py        where a job begins: at a checkpoint, at what it starts from, from scratch
     runner.py           the loop over chunks of training; pace.py how long a chunk may be
     recorder.py         what is written after an epoch; progress.py what is shown
     startup.py          JAX's own settings, before it starts

@@ -13,9 +13,9 @@ import jax
 
 from cgm_jax.config.grid import structure
 from cgm_jax.config.spelling import counted
+from cgm_jax.host.beginning import check_last_checkpoints
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.jobs import Job
-from cgm_jax.host.runner import check_last_checkpoints
 from cgm_jax.loop.compiler import Compiler, wait_for
 from cgm_jax.machine.device_errors import DeviceError, device_errors
 from cgm_jax.storage.checkpoints import last_whole, position_of

@@ -180,7 +180,7 @@ def _notes_on_resuming(
         SettingError, ReadError: a checkpoint is refused, or what a job starts from; then nothing is
             recorded.
     """
-    from cgm_jax.host.runner import check_last_checkpoints, check_starts
+    from cgm_jax.host.beginning import check_last_checkpoints, check_starts
 
     notes, epochs = ["resuming where it was stopped"], None
     changed = directory.config.changes_since_begun(device, groups, moved)

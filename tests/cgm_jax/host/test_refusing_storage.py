@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from cgm_jax import sweep
-from cgm_jax.host import runner, session
+from cgm_jax.host import beginning, session
 from cgm_jax.storage import checkpoints, run_directory
 from cgm_jax.storage.sweep_config import SweepConfig
 from tests.cgm_jax.host.in_process import (
@@ -50,7 +50,7 @@ def test_a_sweep_that_could_not_begin_begins_in_the_same_directory_later(
     [
         (hashlib, "file_digest", "checkpoints/group0_epoch000003_cycle000000.npz"),
         (checkpoints, "read_json", "config.json"),
-        (runner, "load_checkpoint", None),
+        (beginning, "load_checkpoint", None),
     ],
 )
 def test_what_cannot_be_read_just_now_ends_the_sweep_which_goes_on_from_it_later(

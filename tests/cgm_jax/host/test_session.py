@@ -29,7 +29,7 @@ from cgm_jax import sweep
 from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import Group, run_of
 from cgm_jax.config.settings import Settings
-from cgm_jax.host import jobs, runner
+from cgm_jax.host import beginning, jobs
 from cgm_jax.host.checkpoint import TrainingProgress
 from cgm_jax.results import figures
 from cgm_jax.results.figures import draw_figures
@@ -151,9 +151,9 @@ def test_all_runs_side_by_side_must_hold_the_success(
     both = [{"success_rate": r} for pair in zip(first, second, strict=True) for r in pair]
     state: Any = None
     training = TrainingProgress(state, epoch=len(first), rows=both)
-    assert runner._is_finished(group, training) == finished
+    assert beginning.is_finished(group, training) == finished
     training.cycle = 1  # in the middle of an epoch nothing is decided
-    assert not runner._is_finished(group, training)
+    assert not beginning.is_finished(group, training)
 
 
 def test_wall_s_continues_over_interruptions_and_jumps_of_the_clock(
