@@ -133,13 +133,14 @@ def _draw_points(
     low, median, high, reached, _ = np.array(points).T
     reached = reached.astype(bool)
     colour, style = line.colour, line.style if axis.in_order else "none"
-    label = (line.label or "median over seeds") + remarks(runs)
+    several = any(len(same) > 1 for _, same in by_value)
+    label = (line.label or ("median over seeds" if several else "one run each")) + remarks(runs)
     (drawn,) = axes.plot(places, median, linestyle=style, label=label, color=colour, zorder=3)
     axes.plot(places[reached], median[reached], "o", color=colour, zorder=4)
     axes.plot(places[~reached], median[~reached], "o", color=colour, mfc="white", zorder=4)
     if not axis.in_order:
         drawn.set_marker("o")  # for the legend
-    if any(len(same) > 1 for _, same in by_value):
+    if several:
         if axis.in_order and len(places) > 1:
             axes.plot(places, low, linestyle="--", linewidth=0.8, color=colour)
             axes.plot(places, high, linestyle="--", linewidth=0.8, color=colour)

@@ -122,6 +122,7 @@ def test_where_nothing_could_be_an_axis_there_is_no_figure(axes: dict[str, Any])
         epochs_to_half(sweep(lambda **_: AT_3, **axes))
 
 
-def test_one_epoch_is_drawn_too() -> None:
+def test_one_epoch_is_drawn_too_and_one_run_is_no_median() -> None:
     (panel,) = panels(epochs_to_half(run([0.9], c_g=0.1) + run([0.9], c_g=0.4)))
+    assert legend(panel) == ["one run each"]
     assert texts(panel)[0] == "not within 1 epoch (open)"
