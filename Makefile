@@ -4,7 +4,8 @@
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
-# Two processes of tests, a file in one of them, so that its tests share what they compile.
+# Two processes of tests, a file in one of them, so that its tests share what they compile; and so
+# do the files of each group that tests/conftest.py names.
 PARALLEL := --numprocesses 2 --dist loadfile
 
 .PHONY: setup setup-cuda sweep test test-slow test-sb3 test-page screenshot test-slurm test-ray test-tracking test-onnx test-warp pretrained test-lowest test-newest test-wheel lint-workflows docs test-docs faults lint bench gpu transfer compare-sb3 lock clean

@@ -5,7 +5,6 @@ which comes with the package. `--video` also writes a video of the best one, `--
 MuJoCo's viewer; `--random` evaluates random actions, not policies.
 """
 
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from cgm_jax.config.settings import Settings
 from cgm_jax.host.command_line import (
     owns_process,
     parse,
+    print_error,
     print_restored,
     run_program,
 )
@@ -124,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             outcomes = _evaluate(options, plan)
         except DeviceError as error:
-            print(f"error: {error}", file=sys.stderr)
+            print_error(error)
             return ExitCode.FAILED
         for line in _report(outcomes, options.mask):
             print(line, flush=True)
@@ -251,7 +251,11 @@ def _write_video(
     options: EvaluateOptions,
     interruption: Interruption,
 ) -> str:
-    """Write the video, and say what is in it."""
+    """Write the video, and say what is in it.
+
+    Raises:
+        SettingError: no episode is valid, or the file cannot be written.
+    """
     from cgm_jax.host.progress import CountProgress
     from cgm_jax.results.video import count_frames, video_frames, write_video
 

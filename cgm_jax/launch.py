@@ -25,7 +25,8 @@ from cgm_jax.launching.merged import is_merged
 from cgm_jax.launching.plan import PROGRAM, LaunchOptions, check_separated, planned
 from cgm_jax.launching.supervision import PATIENCE_SECONDS, Engine, supervise, verdict
 from cgm_jax.machine.commands import begun_with, shell_command
-from cgm_jax.results.merging import differences, write_merged
+from cgm_jax.results.merged_provenance import differences
+from cgm_jax.results.merging import write_merged
 from cgm_jax.results.parts import read_parts
 from cgm_jax.storage.files import refusal
 from cgm_jax.storage.layout import LAUNCH

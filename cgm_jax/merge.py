@@ -16,7 +16,8 @@ from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
 from cgm_jax.machine.commands import begun_with
-from cgm_jax.results.merging import differences, write_merged
+from cgm_jax.results.merged_provenance import differences
+from cgm_jax.results.merging import write_merged
 from cgm_jax.results.parts import read_parts
 from cgm_jax.storage.files import ReadError, refusal
 from cgm_jax.storage.looking import is_there, look_at

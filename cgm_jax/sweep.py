@@ -15,12 +15,12 @@ from cgm_jax.machine.commands import begun_with
 class SweepOptions(TrainingOptions):
     """Train every combination of the given values, in one process.
 
-    On a GPU all runs of a program train side by side, on a CPU one per core. A setting takes one or
-    more values; several make a grid axis. Settings that are not given have the preset's value,
-    which is shown below (of another preset or task: --preset NAME --env NAME --help), or else their
-    default. Where it says "splits programs", each value is a program of its
-    own, compiled and trained one after another; values of the others train side by side in one
-    program. The same command with the same --out resumes where it was stopped.
+    A setting takes one or more values; several make a grid axis. Settings that are not given have
+    the preset's value, which is shown below (of another preset or task: --preset NAME --env NAME
+    --help), or else their default. Where it says "splits programs", each value is a program of its
+    own, compiled and trained one after another; values of the others share a program, and train
+    side by side on a GPU, one per core on a CPU. The same command with the same --out resumes where
+    it was stopped.
     """
 
     default_preset: ClassVar[str] = "quick"

@@ -107,11 +107,11 @@ def _check_default(kind: type, item: "Field[Any]") -> None:
     """
     if "help" not in item.metadata:
         return
-    traced = item.metadata["traced"]
-    if type(item.default) not in (DTYPES if traced else {*ACCEPTED, type(None)}):
+    is_traced = item.metadata["traced"]
+    if type(item.default) not in (DTYPES if is_traced else {*ACCEPTED, type(None)}):
         which = "a whole number, a number or a bool of Python's"
-        which += "" if traced else ", a text, a tuple of numbers or None"
-        how = "traced" if traced else "static"
+        which += "" if is_traced else ", a text, a tuple of whole numbers or None"
+        how = "traced" if is_traced else "static"
         raise TypeError(
             f"{item.name} of {kind.__name__} has the default {item.default!r:.60}, but that of a "
             f"{how} setting is {which}"

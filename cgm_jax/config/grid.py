@@ -283,10 +283,10 @@ def _classes(names: Mapping[str, str]) -> dict[str, Any]:
     for kind, found in classes.items():
         for item in declared(found):
             other, there = known.setdefault(item.name, (names[kind], item))
-            if (there.default, there.metadata) != (item.default, item.metadata):
+            if there.metadata != item.metadata:
                 raise SettingError(
                     f"{kind}: {names[kind]} and {other} both have a setting called {item.name}, "
-                    "but not the same default, help and range; rename it, or declare it by shared()"
+                    "but do not mean the same by it; rename it, or declare it by shared()"
                 )
         if taken := sorted(RESERVED & {item.name for item in declared(found)}):
             raise SettingError(

@@ -82,7 +82,12 @@ def begin(
 
 
 def _last_checkpoint(job: Job, index: int, directory: RunDirectory) -> TrainingProgress | None:
-    """A job's last whole checkpoint, None if there is none; what others lack is said."""
+    """A job's last whole checkpoint, None if there is none; what others lack is said.
+
+    Raises:
+        SettingError: it belongs to other runs, or holds the state of another program.
+        ReadError: it cannot be read just now.
+    """
     training, notes = load_checkpoint(directory.path / "checkpoints", index, _shapes(job))
     where = f"resuming after epoch {training.epoch}" if training else "starting from the beginning"
     if training is not None:

@@ -22,7 +22,6 @@ from cgm_jax.host.help_texts import with_paragraphs
 from cgm_jax.host.setting_options import asks_for_help, in_groups, show_preset
 from cgm_jax.host.streams import make_streams_harmless
 from cgm_jax.host.training_options import TrainingOptions
-from cgm_jax.machine.device_errors import DeviceError
 from cgm_jax.storage.files import ReadError, refusal
 from cgm_jax.storage.lock import InUseError
 from cgm_jax.storage.run_directory import RunDirectory
@@ -121,8 +120,6 @@ def run_program(main: Callable[[], int]) -> NoReturn:
         refuse(str(error), ExitCode.IN_USE)
     except ReadError as error:
         refuse(refusal(error, Path()), ExitCode.CANNOT_WRITE)
-    except DeviceError as error:
-        refuse(str(error), ExitCode.FAILED)
     except KeyboardInterrupt:
         sys.exit(ExitCode.STOPPED)
 
@@ -156,11 +153,16 @@ def owns_process() -> bool:
 
 
 def refuse(message: str, code: ExitCode = ExitCode.BAD_INPUT) -> NoReturn:
-    """End with one line and an exit code; the middle of a very long one is left out."""
-    line, half = printable(" ".join(message.split())), MAX_MESSAGE // 2
+    """End with one line, as `print_error` has it, and an exit code."""
+    print_error(message)
+    sys.exit(code)
+
+
+def print_error(message: object) -> None:
+    """Say what is wrong in one line; the middle of a very long one is left out."""
+    line, half = printable(" ".join(str(message).split())), MAX_MESSAGE // 2
     shown = line if len(line) <= MAX_MESSAGE else f"{line[:half]}...{line[-half:]}"
     print(f"error: {shown}", file=sys.stderr)
-    sys.exit(code)
 
 
 def _meant(box: str) -> list[str]:

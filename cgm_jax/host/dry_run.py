@@ -14,6 +14,7 @@ import jax
 from cgm_jax.config.grid import structure
 from cgm_jax.config.spelling import counted
 from cgm_jax.host.beginning import check_last_checkpoints
+from cgm_jax.host.command_line import print_error
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.jobs import Job
 from cgm_jax.loop.compiler import Compiler, wait_for
@@ -65,7 +66,7 @@ def show_plan(jobs: Sequence[Job], notes: Sequence[str], directory: RunDirectory
     try:
         print(_time_line(jobs, directory))
     except DeviceError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print_error(error)
         return ExitCode.FAILED
     return ExitCode.DONE
 

@@ -9,7 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cgm_jax.host.asked import Asked
-from cgm_jax.host.command_line import bring_config_back, owns_process, remark_on_repeated
+from cgm_jax.host.command_line import (
+    bring_config_back,
+    owns_process,
+    print_error,
+    remark_on_repeated,
+)
 from cgm_jax.host.conclusion import exit_code_of, show_results, try_to_draw_figures
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import STOPPED_AT_ONCE, Interruption
@@ -181,7 +186,7 @@ def _train(
             seconds = options.checkpoint_seconds
             rows = run_jobs(jobs, directory, progress, interruption, seconds, tracking, compiler)
     except DeviceError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print_error(error)
         print(_how_to_resume(directory.path, tracking.name), file=sys.stderr)
         return ExitCode.FAILED
     if rows is None:

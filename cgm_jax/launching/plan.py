@@ -50,10 +50,10 @@ OF_ONE_PLACE = {"minutes": "slurm", "sbatch": "slurm", "address": "ray"}
 class LaunchOptions:
     """Train a sweep in parts: on this machine, as a SLURM job array, or on a Ray cluster.
 
-    Options of the sweep follow after `--`, as cgm_jax.sweep has them, but for --config, --from and
-    --dry-run. In the end the parts are merged in the launch's directory. Parts that are killed,
-    preempted or lost with their node are tried again from their last checkpoint, for as long as
-    they get further.
+    Options of the sweep follow after `--`, as cgm_jax.sweep has them, but for --config, --from,
+    --dry-run, --resume and --shard. In the end the parts are merged in the launch's directory.
+    Parts that are killed, preempted or lost with their node are tried again from their last
+    checkpoint, for as long as they get further.
     """
 
     on: Annotated[
@@ -220,7 +220,7 @@ def _check_there(kind: str, text: str) -> None:
         SettingError: it is not.
     """
     place = text.rpartition(":")[0]
-    if place.endswith(".py") and not Path(place).exists():
+    if place.endswith(".py") and not is_there(kind, Path(place)):
         raise SettingError(f"{kind}: {place} is not there any more; a launch resumes with it there")
 
 

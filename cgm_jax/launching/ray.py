@@ -48,7 +48,7 @@ class Ray:
         self._ray = ray
         self._cores = resources.cores or 1
         self._tasks: dict[Any, int] = {}
-        self._began = False
+        self._nowhere: dict[int, str] = {}
         # Ray only keeps account of memory; a part has to be told what it may plan with.
         memory = resources.memory
         self._memory = {} if memory is None else {MEMORY_VARIABLE: str(int(memory * 2**10))}
@@ -88,28 +88,34 @@ class Ray:
         return parts
 
     def ended(self) -> dict[int, Ended]:
-        """See `Engine`."""
+        """See `Engine`.
+
+        Raises:
+            SettingError: no node that has been given a part can run one.
+        """
         if not self._tasks:
             return {}
         ready, _ = self._ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=0)
-        return {self._tasks.pop(task): Ended(self._code(task)) for task in ready}
+        taken = {task: self._tasks.pop(task) for task in ready}
+        ended = {part: Ended(self._code(task, part)) for task, part in taken.items()}
+        if not self._tasks and len(self._nowhere) == self._launch.parts:
+            raise SettingError(f"on: {next(iter(self._nowhere.values()))}")
+        return ended
 
-    def _code(self, task: Any) -> int | None:
+    def _code(self, task: Any, part: int) -> int | None:
         """A task's exit code; None if it has none, since its worker or node was lost.
 
-        Raises:
-            SettingError: the first node that was given a part cannot run parts.
+        Of a node that cannot run parts it says why: others may be able to.
         """
         try:
             code = int(self._ray.get(task))
-            self._began = True
+            self._nowhere.pop(part, None)
             return code
         except self._ray.exceptions.RayError as error:
             cause = getattr(error, "cause", None)
             if isinstance(cause, FileNotFoundError):
-                if not self._began:
-                    raise SettingError(f"on: {cause}") from None
                 print(f"on: {cause}", file=sys.stderr)
+                self._nowhere[part] = str(cause)
             return None  # lost, or cancelled
 
     def stop(self) -> None:

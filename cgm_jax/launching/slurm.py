@@ -46,6 +46,11 @@ GONE += ("BOOT_FAIL", "DEADLINE", "REVOKED")
 ENDLESS = 10**6
 """Requeues that submitit allows; when to stop is told by attempts without progress."""
 
+NEVER = (
+    r"invalid (partition|account|qos|feature|generic)|reservation is invalid|unrecognized option"
+)
+"""In what sbatch says of jobs that no waiting helps."""
+
 SBATCH = ("partition", "account", "qos", "constraint", "exclude", "nodelist", "reservation")
 SBATCH += ("gres", "licenses", "nice", "exclusive", "comment")
 """Options of sbatch that a launch may have; others go into variables, such as SBATCH_CLUSTERS."""
@@ -106,7 +111,11 @@ class Slurm:
         self._asked, self._accepted = 0.0, False
 
     def check(self) -> None:
-        """See `Engine`: ask for a job with these resources, which SLURM is not to run."""
+        """See `Engine`: ask for a job with these resources, which SLURM is not to run.
+
+        What can never be is refused. Of other reasons, such as nodes that are down just now, SLURM
+        might let the job wait for their end, and they are only said.
+        """
         job_states()
         given = {
             "time": self._resources.minutes,
@@ -123,7 +132,9 @@ class Slurm:
         try:
             _answer(["sbatch", "--test-only", *options, "--wrap=true"])
         except _NoAnswerError as error:
-            raise SettingError(f"on: SLURM refuses the jobs: {error}") from None
+            if re.search(NEVER, str(error), re.IGNORECASE):
+                raise SettingError(f"on: SLURM refuses the jobs: {error}") from None
+            print(f"on: SLURM may not run the jobs: {error}", file=sys.stderr)
 
     def variables_here(self) -> None:
         """See `Engine`."""

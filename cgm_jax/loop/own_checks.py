@@ -16,6 +16,7 @@ from cgm_jax.loop.own_states import (
     ENTRIES,
     convertible,
     described,
+    holds,
     path_text,
     unread_additions,
     with_unread_of,
@@ -57,7 +58,11 @@ def checked(env: Any, name: str) -> GoalEnvironment:
 
 
 def _check_rules(own: OwnEnvironment, name: str, first: Any) -> None:
-    """Trace the environment's own rules, without running them."""
+    """Trace the environment's own rules, without running them.
+
+    Raises:
+        SettingError: one fails, or returns something else than a scalar.
+    """
     goal = jax.ShapeDtypeStruct(first.state.obs["desired_goal"].shape, np.float32)
     tolerance = getattr(own, "goal_tolerance", None)
     if tolerance is not None and tolerance.shape != goal.shape:
@@ -106,7 +111,8 @@ def _check_shapes(own: OwnEnvironment, env: Any, name: str) -> None:
         actions = jax.ShapeDtypeStruct((2, 3, own.action_size), np.float32)
         many = jax.eval_shape(jax.vmap(jax.vmap(own.reset)), keys)
         jax.eval_shape(jax.vmap(jax.vmap(own.step)), many, actions)
-        if hasattr(own, "restart"):
+    if hasattr(own, "restart"):
+        with user_code("env", f"jax.vmap over restart of {name}"):
             jax.eval_shape(jax.vmap(jax.vmap(own.restart)), many)
 
 
@@ -170,7 +176,7 @@ def _check_alike(first: Any, second: Any, name: str, function: str) -> None:
     after_reset, after_step = ({path_text(path): leaf for path, leaf in part} for part in leaves)
     for path in sorted(set(after_reset) | set(after_step)):
         here, there = after_reset.get(path), after_step.get(path)
-        if here is None or there is None or not convertible(there, here):
+        if here is None or there is None or not _fits(here, there):
             raise SettingError(
                 f"env: {path} of {name} is {described(here)} after reset "
                 f"and {described(there)} after {function}"
@@ -179,6 +185,11 @@ def _check_alike(first: Any, second: Any, name: str, function: str) -> None:
         raise SettingError(
             f"env: reset and {function} of {name} return states of different structure"
         )
+
+
+def _fits(here: Any, there: Any) -> bool:
+    """Whether a leaf can take another's place: as large, of the same kind, and with no loss."""
+    return convertible(there, here) and (here.dtype == there.dtype or holds(here, there))
 
 
 def _check_rewards(own: OwnEnvironment, obs: dict[str, np.ndarray], name: str) -> None:

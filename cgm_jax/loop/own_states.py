@@ -61,16 +61,15 @@ def _takes(old: Any, new: Any, *, is_output: bool) -> bool:
     """Whether a leaf may become one of another's type: of what is kept, without any loss."""
     if is_key(old, new):
         return dtype_of(old) == dtype_of(new)
-    ranks = [next(i for i, kind in enumerate(KINDS) if _is(leaf, kind)) for leaf in (new, old)]
-    return is_output or ranks[0] <= ranks[1]
+    return is_output or holds(old, new)
 
 
-KINDS = (jnp.bool_, jnp.integer, jnp.floating, jnp.generic)
-"""Of numbers: one of a kind can be one of a later kind."""
+def holds(old: Any, new: Any) -> bool:
+    """Whether numbers of the type of `old` can be those of the type of `new`, as float32 int32's.
 
-
-def _is(leaf: Any, kind: Any) -> bool:
-    return jnp.issubdtype(dtype_of(leaf), kind)
+    What of large whole numbers a floating-point one rounds does not count.
+    """
+    return jnp.promote_types(dtype_of(old), dtype_of(new)) == dtype_of(old)
 
 
 def unread_additions(before: Any, after: Any) -> list[str]:

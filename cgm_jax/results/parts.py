@@ -5,7 +5,7 @@ What counts are the last checkpoints, since only what they hold is safe.
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,6 @@ class Part:
         shard: which part it is.
         pieces: its groups of runs, in order.
         start: SHA-256 of start.npz, from which it began; None for from scratch.
-        names: what its runs' own code was called there, and is in the whole; see `same_names`.
     """
 
     path: Path
@@ -51,7 +50,6 @@ class Part:
     shard: Shard
     pieces: list[Piece]
     start: str | None
-    names: dict[str, str] = field(default_factory=dict)
 
 
 def read_parts(paths: Sequence[Path]) -> list[Part]:
@@ -69,7 +67,10 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
             raise SettingError(f"{path} is no part of a sweep: it was trained without --shard")
         first, other = next(iter(shards.items()), (path, shard))
         if shard.sweep != other.sweep:
-            raise SettingError(f"{path} is part of another sweep than {first}")
+            raise SettingError(
+                f"{path} is part of another sweep than {first}; if another version trained it, "
+                "give its command again"
+            )
         if shard.parts != other.parts:
             raise SettingError(
                 f"{path} is a part of {shard.parts}, but {first} is a part of {other.parts}"
@@ -84,6 +85,7 @@ def read_parts(paths: Sequence[Path]) -> list[Part]:
         with reading(path):
             parts.append(_read_part(path, directory, shards[path]))
     _check_same_start(parts)
+    _check_same_settings(parts)
     parts = sorted(parts, key=lambda part: part.shard.part)
     names = same_names([part.config for part in parts])
     return [_renamed(part, its) for part, its in zip(parts, names, strict=True)]
@@ -131,6 +133,27 @@ def _check_same_start(parts: Sequence[Part]) -> None:
             )
 
 
+def _check_same_settings(parts: Sequence[Part]) -> None:
+    """Check that parts differ in nothing but what the sweep varies.
+
+    Settings at their default do not tell sweeps apart, and a default may have changed in between.
+
+    Raises:
+        SettingError: they do.
+    """
+    known: dict[str, tuple[Path, Any]] = {}
+    for part in parts:
+        varies = {*part.shard.swept, *NAMES, "name", "seed", "epochs"}  # one may train for longer
+        for run in (run for group in part.config["groups"] for run in group["runs"]):
+            for name in run.keys() - varies:
+                there, value = known.setdefault(name, (part.path, run[name]))
+                if run[name] != value:
+                    raise SettingError(
+                        f"{name}: {part.path} was trained with {run[name]!r:.60}, "
+                        f"but {there} with {value!r:.60}"
+                    )
+
+
 def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
     config = directory.config.read()
     try:
@@ -154,8 +177,7 @@ def _read_part(path: Path, directory: RunDirectory, shard: Shard) -> Part:
 def _renamed(part: Part, names: dict[str, str]) -> Part:
     groups = renamed(part.config["groups"], names)
     pieces = [replace(piece, rows=renamed(piece.rows, names)) for piece in part.pieces]
-    config = {**part.config, "groups": groups}
-    return replace(part, config=config, pieces=pieces, names=names)
+    return replace(part, config={**part.config, "groups": groups}, pieces=pieces)
 
 
 def _read_piece(path: Path, index: int, runs: Sequence[dict[str, Any]]) -> Piece:

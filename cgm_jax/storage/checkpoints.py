@@ -57,8 +57,7 @@ def write_manifest_again(source: Path, path: Path, config: bytes) -> None:
         ReadError: the manifest of the source cannot be read.
         OSError: it cannot be written.
     """
-    with reading(manifest_path(source)):
-        _write_manifest(path, _manifest(source), config)
+    _write_manifest(path, _manifest(source), config)
 
 
 def _write_manifest(path: Path, facts: dict[str, Any], config: bytes) -> None:

@@ -1,5 +1,6 @@
 """What is to be trained: plans.toml, as options of `cgm_jax.sweep`."""
 
+import functools
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -44,8 +45,16 @@ class Plans(NamedTuple):
 
 
 def read_plans(path: Path = PLANS) -> Plans:
-    """Read plans.toml, in which settings and sweeps may build on other settings (`like`)."""
-    plans = tomllib.loads(path.read_text())
+    """Read plans.toml, in which settings and sweeps may build on other settings (`like`).
+
+    Who asks again gets the same, not to be changed.
+    """
+    return _parsed(path.read_text())
+
+
+@functools.lru_cache(maxsize=2)  # the report asks hundreds of times
+def _parsed(text: str) -> Plans:
+    plans = tomllib.loads(text)
 
     def resolved(entry: Settings) -> dict[str, Any]:
         own = dict(entry)

@@ -3,6 +3,7 @@
 Figures and tables are made from these records, so that they can be made again without training.
 """
 
+import functools
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -239,10 +240,26 @@ def is_whole(sweep: str) -> bool:
 
 
 def recorded_runs(sweep: str) -> list[RecordedRun]:
-    """All runs of a sweep that are on record."""
+    """All runs of a sweep that are on record; who asks again gets the same, not to be changed."""
+    folder = SWEEPS / sweep
+    return [*_runs_of(folder, _version(folder / CONFIG), _version(folder / LEARNING))]
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    """What is another once a file has other content; None where there is no file."""
+    if not path.is_file():
+        return None
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+@functools.lru_cache(maxsize=256)  # the report asks for a sweep's runs up to a hundred times
+def _runs_of(folder: Path, *_: tuple[int, ...] | None) -> Sequence[RecordedRun]:
+    """What `recorded_runs` returns of a folder whose files are of these versions."""
+    sweep = folder.name
     settings = recorded_settings(sweep)
     if not settings:
-        return []
+        return ()
     rows: dict[str, list[Row]] = {name: [] for name, _ in settings}
     facts = {name: _facts(values) for name, values in settings}
     for line in read_table(SWEEPS / sweep / LEARNING):

@@ -115,6 +115,17 @@ class SlowClock(Base):
         return super().step(state, action).replace(info={"time": state.info["time"] + 0.1})
 
 
+class Wrapping(Base):
+    """A counter that begins as a small number would begin anew at 256."""
+
+    def reset(self, rng: jax.Array) -> State:
+        return super().reset(rng).replace(info={"steps": jnp.uint8(0)})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        steps = state.info["steps"].astype(int) + 1
+        return super().step(state, action).replace(info={"steps": steps})
+
+
 class NaNWarning(Base):
     """Its physics break in every step, and say so by NaN."""
 

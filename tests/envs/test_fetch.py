@@ -144,7 +144,7 @@ def test_success_and_reward_are_those_of_the_threshold() -> None:
 
 @pytest.mark.parametrize("task", ["push", "pick_and_place"])
 def test_a_controller_written_by_hand_solves_the_task(task: str) -> None:
-    states = Player(envs.make(task, engine="native")).play(CONTROLLERS[task], 500)
+    states = Player(envs.make(task, engine="native")).play(CONTROLLERS[task], 200)
     assert warnings(states) == 0
     assert success(states[:1]).mean() < 0.2  # of starts that need nothing done
     assert success(states).mean() >= 0.97

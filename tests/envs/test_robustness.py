@@ -12,7 +12,7 @@ from tests.envs.measures import finger_depth, object_speed, observations, warnin
 @pytest.mark.parametrize("task", ["push", "pick_and_place"])
 def test_adversarial_actions_break_nothing(task: str) -> None:
     player = Player(envs.make(task, engine="native"))
-    states = player.play(attack, 500)
+    states = player.play(attack, 200)
     observed = observations(states)
     assert np.isfinite(observed).all()
     assert warnings(states) == 0

@@ -69,10 +69,13 @@ def test_another_record_makes_another_report(
         if row["seed"] == "1":
             row["success_rate"] = str(float(int(row["epoch"]) > 14))
     write_table(path, rows)
-    before, after = README.read_text(), regenerated(README.read_text())
-    assert "<!-- value: latest push_her 90 -->320,000<!-- end -->" in before
-    assert "<!-- value: latest push_her 90 -->340,000<!-- end -->" in after
+    value, table = "<!-- value: latest push_her 90 -->", "<!-- table: speed push -->"
+    before = README.read_text()
+    assert f"{value}320,000<!-- end -->" in before
+    assert f"\n{table}\n" in before
     assert "| 180, 200, 180, 220, 160 |" in before
+    after = regenerated(f"p = {value}<!-- end -->\n{table}\n<!-- end -->\n")
+    assert f"{value}340,000<!-- end -->" in after
     assert "| 180, 320, 180, 220, 160 |" in after
 
 

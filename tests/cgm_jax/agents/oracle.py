@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cgm_jax.agents.protocol import Minibatch
+from cgm_jax.agents.protocol import Info, Minibatch
 from cgm_jax.config.sizes import Sizes
 
 SHAPES = {"inputs": (3,), "action": (2,), "reward": (), "next_inputs": (3,)}
@@ -42,6 +42,24 @@ def example_batch(*leading: int, seed: int = 0) -> Minibatch:
 
     arrays: dict[str, Any] = {name: drawn(name) for name in SHAPES}
     return Minibatch(**arrays)
+
+
+@jax.jit
+def update(agent: Any, state: Any, batch: Minibatch) -> tuple[Any, Info]:
+    """`agent.update`, compiled as a whole."""
+    return agent.update(state, batch)
+
+
+@jax.jit
+def update_critic(agent: Any, state: Any, batch: Minibatch) -> tuple[Any, Info]:
+    """`agent.update_critic`, compiled as a whole."""
+    return agent.update_critic(state, batch)
+
+
+@jax.jit
+def train(agent: Any, state: Any, batches: Minibatch, key: jax.Array) -> tuple[Any, Info]:
+    """`agent.train`, compiled as a whole."""
+    return agent.train(state, batches, key)
 
 
 def perceptron(parameters: Any, inputs: np.ndarray) -> np.ndarray:

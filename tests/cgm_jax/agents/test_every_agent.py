@@ -15,6 +15,7 @@ from cgm_jax.config.fields import SettingError, declared
 from cgm_jax.config.grid import build_groups
 from cgm_jax.host.checkpoint import TrainingProgress, load_checkpoint, save_checkpoint
 from cgm_jax.loop.divergence import MAX_WEIGHT, describe_failure
+from cgm_jax.measuring.compilations import programs_compiled
 from tests.cgm_jax.agents.oracle import SIZES, example_batch
 from tests.cgm_jax.agents.trained import AGENTS, bits, is_key, on_host, trained
 from tests.cgm_jax.probe import tiny
@@ -78,6 +79,15 @@ def test_a_learning_rate_that_diverges_freezes_its_run_and_is_named(agent: str) 
             assert all((np.abs(leaf) <= MAX_WEIGHT).all() for leaf in leaves)
 
 
+def test_a_cycle_updates_the_actor_once_in_so_many_updates_of_the_critic() -> None:
+    run = trained("td3")
+    agent: Any = run.second.agent
+    assert tiny(agent="td3").agent.actor_update_every == 2
+    assert int(agent.updates[0]) == int(agent.critic_optimiser.count[0]) == 16
+    assert int(agent.actor_optimiser.count[0]) == 8
+    assert run.logged[0] == 4  # of both networks, in one of two epochs
+
+
 @EVERY
 def test_a_checkpoint_gives_every_bit_back_and_training_resumes_from_it(
     agent: str, tmp_path: Path
@@ -91,8 +101,10 @@ def test_a_checkpoint_gives_every_bit_back_and_training_resumes_from_it(
     assert jax.tree.structure(training.state) == jax.tree.structure(run.first)
     for x, y in zip(bits(training.state), bits(run.first), strict=True):
         np.testing.assert_array_equal(x, y)
-    state = run.programs.train(training.state, run.hyper, 2)
+    before = programs_compiled()
+    state = run.programs.train(run.programs.spread(training.state), run.hyper, 2)
     state, _ = run.programs.evaluate(state, run.hyper)
+    assert programs_compiled() == before > 0
     for x, y in zip(bits(on_host(state)), bits(run.second), strict=True):
         np.testing.assert_array_equal(x, y)
 

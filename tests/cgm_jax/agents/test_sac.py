@@ -16,6 +16,9 @@ from tests.cgm_jax.agents.oracle import (
     example_batch,
     in_numpy,
     perceptron,
+    train,
+    update,
+    update_critic,
 )
 
 AGENT = SAC(hidden_layers=(8, 8), discount=0.9, initial_temperature=0.4)
@@ -147,7 +150,7 @@ def test_the_temperature_falls_where_there_is_too_much_entropy_and_rises_where_t
 ) -> None:
     agent = dataclasses.replace(AGENT, target_entropy=target, temperature_learning_rate=0.01)
     state, batch = example()
-    updated, _ = agent.update(state, batch)
+    updated, _ = update(agent, state, batch)
     change = float(updated.log_temperature - state.log_temperature)
     assert change == pytest.approx(0.01 * sign, rel=1e-3)  # Adam's first step
 
@@ -156,9 +159,8 @@ def test_what_entropy_is_aimed_at_matters_only_where_the_temperature_learns() ->
     state, _ = example()
     batches = example_batch(4, seed=1)
 
-    @jax.jit
     def trained(agent: SAC) -> tuple[object, ...]:
-        after, _ = agent.train(state, batches, jax.random.key(0))
+        after, _ = train(agent, state, batches, jax.random.key(0))
         return after.actor, after.critic, after.log_temperature
 
     lazy, eager = (
@@ -178,12 +180,12 @@ def test_what_entropy_is_aimed_at_matters_only_where_the_temperature_learns() ->
 def test_critics_learn_at_every_update_and_the_actor_at_every_third() -> None:
     agent = dataclasses.replace(AGENT, actor_update_every=3)
     state, batch = example()
-    once, _ = agent.update_critic(state, batch)
+    once, _ = update_critic(agent, state, batch)
     for name in ("actor", "log_temperature", "actor_optimiser", "temperature_optimiser"):
         assert_equal(getattr(once, name), getattr(state, name))
     moved = jax.tree.map(lambda x, y: 0.005 * x + 0.995 * y, once.critic, state.target_critic)
     assert_close(once.target_critic, moved)
-    trained, losses = agent.train(state, example_batch(6, seed=1), jax.random.key(5))
+    trained, losses = train(agent, state, example_batch(6, seed=1), jax.random.key(5))
     assert {name: value.shape for name, value in losses.items()} == dict.fromkeys(
         agent.logged, (2,)
     )

@@ -15,6 +15,8 @@ from tests.cgm_jax.agents.oracle import (
     example_batch,
     in_numpy,
     perceptron,
+    train,
+    update_critic,
 )
 
 AGENT = TD3(hidden_layers=(8, 8), discount=0.9, target_noise=0.6, action_penalty=0.3)
@@ -61,10 +63,10 @@ def test_actor_and_targets_wait_for_every_second_update() -> None:
     first = NoisyMinibatch(
         **vars(jax.tree.map(lambda rows: rows[0], batches)), next_noise=jnp.ones(2)
     )
-    once, _ = AGENT.update_critic(state, first)
+    once, _ = update_critic(AGENT, state, first)
     for name in ("actor", "target_actor", "target_critic"):
         assert_equal(getattr(once, name), getattr(state, name))
-    trained, losses = AGENT.train(state, batches, jax.random.key(5))
+    trained, losses = train(AGENT, state, batches, jax.random.key(5))
     for name in ("actor", "critic", "target_actor", "target_critic"):
         for x, y in zip(
             jax.tree.leaves(getattr(trained, name)),
@@ -81,9 +83,8 @@ def test_noise_differs_between_keys_and_without_it_keys_do_not_matter() -> None:
     state, _ = example()
     batches = example_batch(4, seed=1)
 
-    @jax.jit
     def critic(agent: TD3, seed: int) -> jax.Array:
-        trained, _ = agent.train(state, batches, jax.random.key(seed))
+        trained, _ = train(agent, state, batches, jax.random.key(seed))
         return trained.critic[0]["params"]["layer_0"]["kernel"]
 
     quiet = dataclasses.replace(AGENT, target_noise=0.0)

@@ -30,6 +30,7 @@ class Trained(NamedTuple):
         start: before any training.
         first, second: after so many epochs.
         failure: of each run after both.
+        logged: of each run, updates of the second epoch whose losses are logged.
         compiled_later: programs that were compiled in the second epoch.
     """
 
@@ -40,6 +41,7 @@ class Trained(NamedTuple):
     first: TrainingState
     second: TrainingState
     failure: np.ndarray
+    logged: np.ndarray
     compiled_later: int
 
 
@@ -56,16 +58,18 @@ def trained(agent: str) -> Trained:
     hyper = stack(list(runs.values()))
     programs = make_programs(make_trainer(PointMass(), TINY))
 
-    def epoch(state: TrainingState) -> tuple[TrainingState, np.ndarray]:
-        state, metrics = programs.evaluate(programs.train(on_host(state), hyper, 2), hyper)
-        return on_host(state), np.asarray(metrics["failure"])
+    def epoch(state: TrainingState) -> tuple[TrainingState, np.ndarray, np.ndarray]:
+        state = programs.train(programs.spread(on_host(state)), hyper, 2)
+        logged = np.array(state.statistics.updates)  # before `evaluate` sets it to 0
+        state, metrics = programs.evaluate(state, hyper)
+        return on_host(state), np.asarray(metrics["failure"]), logged
 
     start = on_host(programs.start(hyper))
-    first, _ = epoch(start)
+    first, *_ = epoch(start)
     before = programs_compiled()
-    second, failure = epoch(first)
+    second, failure, logged = epoch(first)
     later = programs_compiled() - before
-    return Trained(programs, list(runs), hyper, start, first, second, failure, later)
+    return Trained(programs, list(runs), hyper, start, first, second, failure, logged, later)
 
 
 def on_host(state: TrainingState) -> TrainingState:

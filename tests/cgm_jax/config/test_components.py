@@ -61,7 +61,7 @@ def test_an_own_component_shares_no_setting_by_accident(tmp_path: Path) -> None:
     with pytest.raises(SettingError) as caught:
         hyperparameters(curriculum=f"{path}:Growing")
     assert str(caught.value).startswith(
-        f"agent: ddpg and {path}:Growing both have a setting called discount, but not the same"
+        f"agent: ddpg and {path}:Growing both have a setting called discount, but do not mean"
     )
     path.write_text(
         "from cgm_jax.agents.ddpg import DDPG\nfrom cgm_jax.config.fields import shared\n"

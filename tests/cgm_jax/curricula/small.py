@@ -4,7 +4,8 @@
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 import dataclasses
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,12 +41,21 @@ def sizes(goal: int, distance_threshold: float = 0.1) -> Sizes:
     )
 
 
+@functools.cache
+def compiled(
+    env: GoalEnvironment, settings: Settings
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """`init` and `epoch`, jitted once, so that runs that differ in traced settings share them."""
+    trainer = make_trainer(env, settings)
+    return jax.jit(trainer.init), jax.jit(trainer.epoch)
+
+
 def epochs(
     env: GoalEnvironment, hyper: Hyperparameters, settings: Settings = SMALL
 ) -> Iterator[tuple[TrainingState, dict[str, np.ndarray]]]:
     """Train one run: the state and the metrics of one epoch after the other."""
-    trainer = make_trainer(env, settings)
-    state, epoch = jax.jit(trainer.init)(hyper), jax.jit(trainer.epoch)
+    start, epoch = compiled(env, settings)
+    state = start(hyper)
     while True:
         state, metrics = epoch(state, hyper)
         yield state, jax.tree.map(np.asarray, metrics)

@@ -14,11 +14,13 @@ from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.grid import hyperparameters
 from cgm_jax.config.settings import Hyperparameters, Settings
 from cgm_jax.curricula.protocol import Curriculum, Goals, Outcomes, View
+from cgm_jax.envs import GoalEnvironment
 from cgm_jax.loop.own_checks import checked
 from cgm_jax.loop.rollout import drawn_goals, reset
 from cgm_jax.loop.state import TrainingState
 from cgm_jax.loop.training import Programs, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
+from cgm_jax.replay.ring import Replay, size
 from tests.cgm_jax.protocols import (
     assert_no_type_is_promoted,
     assert_same,
@@ -52,6 +54,7 @@ def critics_for(name: str) -> int:
     return 1
 
 
+@functools.cache
 def two_runs(name: str) -> list[Hyperparameters]:
     """Two runs that differ in the seed and in every traced setting of the curriculum."""
     agent = {"hidden_layers": (8,), "target_update_every": 1, "critics": critics_for(name)}
@@ -108,12 +111,18 @@ def further_goals(key: jax.Array, count: int) -> jax.Array:
     return reset(ENV, key, count).obs["desired_goal"]
 
 
-def view_and_goals(state: TrainingState) -> tuple[View, Goals]:
-    """What a curriculum sees of one run, and what the environment drew."""
+@jax.jit
+def sample(curriculum: Any, state: Any, replay: Replay, key: jax.Array) -> Goals:
+    """Goals for a cycle of one run."""
     first = reset(ENV, jax.random.key(3), COUNT)
-    filled = jnp.minimum(state.replay.inserted, len(state.replay.episodes.mask))
-    view = View(first, state.replay.episodes.achieved_goal, filled, value, further_goals)
-    return view, drawn_goals(ENV, first)
+    view = View(first, replay.episodes.achieved_goal, size(replay), value, further_goals)
+    return curriculum.sample(state, key, drawn_goals(ENV, first), view)
+
+
+@functools.partial(jax.jit, static_argnames="function")
+def learn(curriculum: Any, state: Any, outcomes: Outcomes, function: str) -> Any:
+    """The curriculum's state after one of its functions, `after_training` or `after_evaluation`."""
+    return getattr(curriculum, function)(state, outcomes)
 
 
 def outcomes(curriculum: Any, goals: Goals, valid: np.ndarray, invalid_success: bool) -> Outcomes:
@@ -165,37 +174,33 @@ def test_training_practises_possible_goals_and_reports_one_row_per_run(name: str
 
 def test_runs_with_other_settings_are_vmapped(name: str) -> None:
     done, key = trained(name), jax.random.key(5)
-    view, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
-
-    @jax.jit
-    def sample(curriculum: Any, state: Any) -> Goals:
-        return curriculum.sample(state, key, drawn, view)
-
+    replay = jax.tree.map(lambda leaf: leaf[0], done.state.replay)
     curricula = stack(done.runs).curriculum
-    together = jax.jit(jax.vmap(sample, axis_size=2))(curricula, done.state.curriculum)
+    side_by_side = jax.jit(jax.vmap(sample, (0, 0, None, None), axis_size=2))
+    together = side_by_side(curricula, done.state.curriculum, replay, key)
     for run in range(2):
-        alone = sample(jax.tree.map(lambda leaf, i=run: leaf[i], curricula), done.own_state(run))
+        curriculum = jax.tree.map(lambda leaf, i=run: leaf[i], curricula)
+        alone = sample(curriculum, done.own_state(run), replay, key)
         assert jax.tree.structure(alone) == jax.tree.structure(together)
         for one, other in zip(*map(jax.tree.leaves, (alone, together)), strict=True):
             np.testing.assert_allclose(one, other[run], rtol=1e-5, atol=1e-6)
             assert one.dtype == other.dtype
             assert not other.weak_type
-        assert alone.mask.shape == drawn.mask.shape
-        assert alone.threshold.shape == drawn.threshold.shape
+        assert alone.mask.shape == (COUNT, 2)
+        assert alone.threshold.shape == (COUNT,)
 
 
 def test_episodes_with_broken_physics_change_nothing(name: str) -> None:
     done = trained(name)
-    curriculum, before = done.curriculum, done.own_state()
-    view, drawn = view_and_goals(jax.tree.map(lambda leaf: leaf[0], done.state))
-    curriculum = jax.tree.map(lambda leaf: leaf[0], curriculum)
-    goals = curriculum.sample(before, jax.random.key(6), drawn, view)
+    before, replay = done.own_state(), jax.tree.map(lambda leaf: leaf[0], done.state.replay)
+    curriculum = jax.tree.map(lambda leaf: leaf[0], done.curriculum)
+    goals = sample(curriculum, before, replay, jax.random.key(6))
     some = np.arange(COUNT) % 3 > 0
-    for learn in (curriculum.after_training, curriculum.after_evaluation):
+    for function in ("after_training", "after_evaluation"):
         nothing = outcomes(curriculum, goals, np.zeros(COUNT, bool), invalid_success=True)
-        assert_same(learn(before, nothing), before)
+        assert_same(learn(curriculum, before, nothing, function), before)
         one, other = (
-            learn(before, outcomes(curriculum, goals, some, invalid_success=success))
+            learn(curriculum, before, outcomes(curriculum, goals, some, success), function)
             for success in (True, False)
         )
         assert_same(one, other)
@@ -210,14 +215,34 @@ def test_no_type_is_promoted(name: str) -> None:
     assert_no_type_is_promoted(TRAINER, stack(two_runs(name)))
 
 
-@pytest.mark.parametrize("wrap", [lambda env: env, lambda env: checked(env, "it")])
-def test_with_64_bits_its_state_keeps_its_types(name: str, wrap: Any) -> None:
+def assert_types_are_kept_with_64_bits(env: GoalEnvironment, name: str) -> None:
     with jax.enable_x64(True):
-        trainer, hyper = make_trainer(wrap(ENV), SETTINGS), two_runs(name)[0]
+        trainer, hyper = make_trainer(env, SETTINGS), two_runs(name)[0]
         before = jax.eval_shape(trainer.init, hyper)
         after, _ = jax.eval_shape(trainer.epoch, before, hyper)
     kept = jax.tree.map(lambda one, other: one.dtype == other.dtype, before, after)
     assert all(jax.tree.leaves(kept))
+
+
+def test_with_64_bits_its_state_keeps_its_types(name: str) -> None:
+    assert_types_are_kept_with_64_bits(ENV, name)
+
+
+@pytest.mark.parametrize("name", ["cgm", "starts"])  # which holds no states of it, and which does
+def test_with_64_bits_types_are_kept_of_an_environment_of_the_users_own(name: str) -> None:
+    assert_types_are_kept_with_64_bits(checked(ENV, "it"), name)
+
+
+def test_without_a_curriculum_only_the_full_goal_is_practised() -> None:
+    done = trained("full")
+    for metrics in done.metrics:
+        # 0 / 0 marks masks that were never drawn.
+        never = np.isnan(metrics["mask_rate_training"])
+        np.testing.assert_array_equal(never, [[True, True, True, False]] * 2)
+        np.testing.assert_array_equal(metrics["mask_share"], [[0.0, 0.0, 0.0, 1.0]] * 2)
+        assert "mask_probability" not in metrics
+    stored = np.asarray(done.state.replay.episodes.mask)[:, : 2 * CYCLES * COUNT]
+    np.testing.assert_array_equal(stored, 1.0)
 
 
 def test_a_search_for_nan_does_not_find_what_it_does_not_know_yet(name: str) -> None:

@@ -7,19 +7,23 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from cgm_jax import launch as program
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host import session
+from cgm_jax.host import memory, session
 from cgm_jax.launching import check, local, ray, slurm
 from cgm_jax.launching.check import check_sweep
 from cgm_jax.launching.directory import Launch, Resources, read_launch
 from cgm_jax.machine.allotment import MEMORY_VARIABLE
 from cgm_jax.storage import run_directory
 from cgm_jax.storage.lock import InUseError, locked
+from tests.cgm_jax.host.in_process import outcome
 from tests.cgm_jax.launching.launches import (
     SMOKE,
     assert_as_if_never_disturbed,
@@ -74,6 +78,22 @@ def test_bad_input_is_refused_before_anything_is_made(
     assert not list(folder.iterdir())
 
 
+@pytest.fixture
+def checked_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Sweeps are checked in this process, and in the memory that a part gets, all of it free."""
+
+    def run(command: list[str], *, env: Mapping[str, str], **more: Any) -> Any:
+        assert command[:3] == [sys.executable, "-m", check.PROGRAM]
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", command[2:])
+            patch.setattr(memory, "free_memory", lambda: int(env[MEMORY_VARIABLE]) * 2**20)
+            code, _, errors = outcome(lambda _: check.main(), [], capsys)
+        return SimpleNamespace(returncode=code, stderr=errors)
+
+    started = SimpleNamespace(run=run, TimeoutExpired=subprocess.TimeoutExpired)
+    monkeypatch.setattr(check, "subprocess", started)
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -84,16 +104,19 @@ def test_bad_input_is_refused_before_anything_is_made(
     ],
 )
 def test_what_parts_would_refuse_is_refused_before_anything_is_made(
-    folder: Path, words: list[str], line: str
+    folder: Path, checked_here: None, words: list[str], line: str
 ) -> None:
     with pytest.raises(SettingError, match=f"^{line}"):
         program.main(["--jobs", "2", "--memory", "2", "--out", "out", *SMOKE, *words])
     assert not list(folder.iterdir())
 
 
-def test_what_depends_on_the_machine_is_not_checked_where_others_train() -> None:
+def test_what_depends_on_the_machine_is_not_checked_where_others_train(
+    checked_here: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [*SMOKE[1:], "--devices", "300", "--environments", "1000000"]
     check_sweep(words, None)
+    assert capsys.readouterr().err == ""  # not even that it could not be checked
     with pytest.raises(SettingError, match=r"^env: unknown environment 'nosuch'"):
         check_sweep([*words, "--env", "nosuch"], None)
 
@@ -170,33 +193,31 @@ def test_a_launch_is_recorded_so_that_it_can_be_resumed_elsewhere(
     assert program.main(["--jobs", "6", "--out", "out", *words]) == 0  # the same command again
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--csv"], "resume: a launch resumes as it was begun, without csv$"),
-        (["--devices", "all"], "resume: .* without devices$"),  # though that is the default
-        (["--checkpoint-seconds", "5"], "resume: .* without checkpoint_seconds$"),
-        (["--checkpoint_seconds=5"], "resume: .* without checkpoint_seconds$"),
-        (["--env", "point", "--dry-run"], "resume: .* without dry_run$"),
-        (["--config", "a.toml"], "resume: .* without config$"),
-        (["--from", "run"], "resume: .* without from$"),
-        (["--set", "gain=1"], "resume: .* without set$"),
-        (["--kappa", "4"], "resume: .* without kappa$"),
-        (["--preset", "smoke"], "resume: .* without preset$"),
-        (["--out", "x"], "resume: .* without out$"),
-        (["--track", "wandb"], "track: .*/out was launched with tensorboard$"),
-        (["--env", "push"], "env: .*/out was launched with reach, not push$"),
-        (["--agent", "ddpg", "sac"], "agent: .*/out was launched with ddpg, not sac$"),
-    ],
-)
-def test_a_launch_resumes_as_it_was_begun(
-    folder: Path, planned: list[Launch], words: list[str], line: str
-) -> None:
+REFUSED_TO_RESUME = [
+    (["--csv"], "resume: a launch resumes as it was begun, without csv$"),
+    (["--devices", "all"], "resume: .* without devices$"),  # though that is the default
+    (["--checkpoint-seconds", "5"], "resume: .* without checkpoint_seconds$"),
+    (["--checkpoint_seconds=5"], "resume: .* without checkpoint_seconds$"),
+    (["--env", "point", "--dry-run"], "resume: .* without dry_run$"),
+    (["--config", "a.toml"], "resume: .* without config$"),
+    (["--from", "run"], "resume: .* without from$"),
+    (["--set", "gain=1"], "resume: .* without set$"),
+    (["--kappa", "4"], "resume: .* without kappa$"),
+    (["--preset", "smoke"], "resume: .* without preset$"),
+    (["--out", "x"], "resume: .* without out$"),
+    (["--track", "wandb"], "track: .*/out was launched with tensorboard$"),
+    (["--env", "push"], "env: .*/out was launched with reach, not push$"),
+    (["--agent", "ddpg", "sac"], "agent: .*/out was launched with ddpg, not sac$"),
+]
+
+
+def test_a_launch_resumes_as_it_was_begun(folder: Path, planned: list[Launch]) -> None:
     sweep = ["--preset", "smoke", "--env", "reach", "--track", "tensorboard"]
     assert program.main(["--jobs", "2", "--out", "out", "--", *sweep]) == 0
-    with pytest.raises(SettingError, match=f"^{line}"):
-        program.main(["--resume", "out", "--", *words])
-    assert len(planned) == 1
+    for words, line in REFUSED_TO_RESUME:
+        with pytest.raises(SettingError, match=f"^{line}"):
+            program.main(["--resume", "out", "--", *words])
+        assert len(planned) == 1, words
     same = ["--env", "reach", "--agent", "ddpg", "--track", "tensorboard"]
     assert program.main(["--resume", "out", "--", *same]) == 0
     assert planned[1] == planned[0]
@@ -259,10 +280,11 @@ def test_a_full_disk_ends_a_launch_that_goes_on_with_74(
     assert len(planned) == 1
 
 
-def test_one_launcher_is_in_a_directory_at_a_time(folder: Path) -> None:
+def test_one_launcher_is_in_a_directory_at_a_time(folder: Path, planned: list[Launch]) -> None:
     (folder / "out").mkdir()
     with locked(folder / "out"), pytest.raises(InUseError):
         program.main(["--jobs", "2", "--out", "out", *SMOKE])
+    assert not planned
 
 
 def test_ray_and_slurm_are_not_imported_without_need() -> None:

@@ -1,5 +1,6 @@
 """What a machine has is shared out among parts; other machines are told what they need."""
 
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from cgm_jax.launching import local, ray
 from cgm_jax.launching.directory import Launch, Resources, carried_environment
 from cgm_jax.launching.local import Local
 from cgm_jax.launching.slurm import sbatch_options
+from cgm_jax.launching.supervision import Ended
 
 
 @pytest.mark.parametrize(
@@ -64,6 +66,50 @@ def test_ray_tells_parts_how_much_memory_they_have(
     ((_, order, carried, *_),) = attempts
     assert carried.get("CGM_JAX_MEMORY_MIB") == told
     assert json.loads(order)["environment"].get("CGM_JAX_MEMORY_MIB") == told
+
+
+class RayError(Exception):
+    """As Ray's: with what a task has raised as its cause."""
+
+    def __init__(self, cause: Exception) -> None:
+        super().__init__(str(cause))
+        self.cause = cause
+
+
+def test_a_ray_node_without_the_directory_costs_attempts_and_not_the_launch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done: dict[str, Any] = {}
+
+    def get(task: str) -> int:
+        if isinstance(done[task], Exception):
+            raise done[task]
+        return done[task]
+
+    numbers = itertools.count()
+    fake = SimpleNamespace(
+        init=lambda **_: None,
+        remote=lambda **_: lambda _: SimpleNamespace(remote=lambda *_: f"task {next(numbers)}"),
+        wait=lambda tasks, **_: ([task for task in tasks if task in done], []),
+        get=get,
+        exceptions=SimpleNamespace(RayError=RayError),
+    )
+    monkeypatch.setitem(sys.modules, "ray", fake)
+    launch = Launch(tmp_path, "ray", 2, "smoke", (), Resources())
+    engine, missing = ray.Ray(launch.resources), RayError(FileNotFoundError("/x is not there on n"))
+    engine.begin(launch)
+    engine.start([1, 2])
+    done["task 0"] = missing
+    assert engine.ended() == {1: Ended(None)}  # the other may have found a better node
+    assert capsys.readouterr().err == "on: /x is not there on n\n"
+    engine.start([1])
+    done |= {"task 1": missing, "task 2": 0}
+    assert engine.ended() == {2: Ended(None), 1: Ended(0)}
+    engine.begin(launch)
+    engine.start([1, 2])
+    done |= {"task 3": missing, "task 4": missing}
+    with pytest.raises(SettingError, match=r"^on: /x is not there on n$"):
+        engine.ended()
 
 
 def test_gpus_are_given_out_and_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -168,3 +168,16 @@ def test_a_job_is_asked_for_before_anything_is_made(
     monkeypatch.setattr(slurm, "_answer", refuse)
     with pytest.raises(SettingError, match=r"^on: SLURM refuses the jobs: .* specified: main$"):
         slurm.Slurm(resources).check()
+
+
+def test_jobs_that_may_have_to_wait_are_not_refused(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "allocation failure: Requested node configuration is not available"
+
+    def wait(_: Any) -> None:
+        raise slurm._NoAnswerError(said)
+
+    monkeypatch.setattr(slurm, "_answer", wait)
+    slurm.Slurm(Resources()).check()
+    assert capsys.readouterr().err == f"on: SLURM may not run the jobs: {said}\n"

@@ -18,11 +18,11 @@ from cgm_jax.envs.names import make_deferred
 from cgm_jax.loop.compiler import Compiler, is_compiling
 from cgm_jax.loop.training import SELDOM_RUN, Programs, make_programs, make_trainer
 from cgm_jax.measuring.compilations import programs_compiled
+from tests.cgm_jax.loop.programs import PROGRAMS
 from tests.cgm_jax.probe import TINY, tiny
 from tests.cgm_jax.protocols import assert_same
 from tests.examples.point_mass import PointMass
 
-PROGRAMS = make_programs(make_trainer(PointMass(), TINY))
 QUICK = PROGRAMS._replace(
     train=jax.jit(lambda states, hyper, cycles: states),  # pyright: ignore[reportArgumentType]
     evaluate=jax.jit(lambda states, hyper: (states, {})),  # pyright: ignore[reportArgumentType]
@@ -106,6 +106,7 @@ def train_wide() -> None:
     print(np.asarray(state.env_steps).max())
 
 
+@pytest.mark.slow
 def test_states_hold_arrays_without_elements_where_masks_are_too_many_to_count() -> None:
     result = subprocess.run(
         [sys.executable, "-c", f"from {__name__} import train_wide; train_wide()"],

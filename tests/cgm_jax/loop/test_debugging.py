@@ -8,11 +8,11 @@ from cgm_jax.config.fields import SettingError, stack
 from cgm_jax.config.settings import Hyperparameters
 from cgm_jax.loop.training import make_trainer
 from cgm_jax.storage.metrics import plain_row
-from tests.cgm_jax.probe import TINY, AlwaysFaultyProbe, OneStepProbe
+from tests.cgm_jax.probe import TINY, AlwaysFaultyProbe, OneStepProbe, tiny
 
 
 def test_a_search_for_nan_does_not_find_what_merely_does_not_exist() -> None:
-    trainer, hyper = make_trainer(AlwaysFaultyProbe(goals=(1.0,)), TINY), Hyperparameters()
+    trainer, hyper = make_trainer(AlwaysFaultyProbe(goals=(1.0,)), TINY), tiny()
     with jax.debug_nans(True):
         _, metrics = jax.jit(trainer.epoch)(trainer.init(hyper), hyper)
     row = plain_row({name: np.asarray(value) for name, value in metrics.items()})

@@ -9,18 +9,15 @@ import pytest
 from cgm_jax.agents.ddpg import DDPGState
 from cgm_jax.config.fields import stack
 from cgm_jax.loop.divergence import describe_failure, failure_of, freeze_if_failed
-from cgm_jax.loop.training import make_programs, make_trainer
+from tests.cgm_jax.loop.programs import PROGRAMS
 from tests.cgm_jax.probe import TINY, tiny
-from tests.examples.point_mass import PointMass
 
-TRAINER = make_trainer(PointMass(), TINY)
-PROGRAMS = make_programs(TRAINER)
 NAMES = [item.name for item in dataclasses.fields(DDPGState)]
 ACTOR, CRITIC = (1 << NAMES.index(name) for name in ("actor", "critic"))
 
 
 def agent() -> DDPGState:
-    return TRAINER.init(tiny()).agent
+    return PROGRAMS.trainer.init(tiny()).agent
 
 
 def spoilt(part: str, value: float) -> DDPGState:
@@ -83,18 +80,18 @@ def test_without_anything_to_learn_from_nothing_is_taken_and_nothing_fails() -> 
 
 
 def test_a_failed_run_logs_no_losses() -> None:
-    healthy, broken = tiny(), tiny(critic_learning_rate=1e30)
-    train, evaluate = jax.jit(TRAINER.train), jax.jit(TRAINER.evaluate)
-    once = train(TRAINER.init(healthy), healthy, 1)
-    _, metrics = evaluate(once, healthy)
-    for name, total in once.statistics.losses.items():
-        assert float(metrics[name]) == pytest.approx(float(total) / TINY.updates_per_cycle)
-        assert float(total) != 0.0
-    _, metrics = evaluate(once.replace(failure=jnp.int32(CRITIC)), healthy)
-    assert all(np.isnan(metrics[name]) for name in once.statistics.losses)
-    _, metrics = evaluate(train(TRAINER.init(broken), broken, 2), broken)
-    assert int(metrics["failure"]) & CRITIC
-    assert all(np.isnan(metrics[name]) for name in once.statistics.losses)
+    hyper = stack([tiny(), tiny(critic_learning_rate=1e30), tiny()])
+    state = PROGRAMS.train(PROGRAMS.start(hyper), hyper, 2)
+    totals = {name: np.array(total) for name, total in state.statistics.losses.items()}
+    # The last one fails with finite losses, which alone keep it from being as the first one.
+    state = state.replace(failure=PROGRAMS.spread(np.asarray(state.failure) | [0, 0, CRITIC]))
+    _, metrics = PROGRAMS.evaluate(state, hyper)
+    assert metrics["failure"][0] == 0
+    assert metrics["failure"][1] & CRITIC
+    for name, total in totals.items():
+        assert total[0] == total[2] != 0.0
+        assert metrics[name][0] == pytest.approx(total[0] / (2 * TINY.updates_per_cycle))
+        assert np.isnan(metrics[name][1:]).all()
 
 
 @pytest.mark.parametrize("name", ["actor_learning_rate", "critic_learning_rate"])

@@ -1,4 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,7 @@ REFUSED = {
         "info['past'] of {} is float32[3] after reset and float32[4] after step"
     ),
     "SlowClock": "info['time'] of {} is int32[] after reset and float32[] after step",
+    "Wrapping": "info['steps'] of {} is uint8[] after reset and int32[] after step",
     "MovingGoal": "step of {} changes desired_goal, which holds for an episode",
     "FarBeyondFloat32": "distance_threshold of {}, 0.1, is less than float32 can tell apart",
     "NoState": "reset of {} returns NoneType, not a brax State",
@@ -126,9 +128,14 @@ def play(env: Any) -> Any:
     return roll_out(env, towards_the_goal, first, drawn_goals(env, first))
 
 
+@functools.cache
+def play_healthy() -> Any:
+    return play(Base())
+
+
 @pytest.mark.parametrize("name", ["BooleanDone", "Careless", "PlainNumbers", "NoMetrics"])
 def test_what_training_does_not_read_cannot_break_it(name: str) -> None:
-    rollout, expected = play(own(name)), play(Base())
+    rollout, expected = play(own(name)), play_healthy()
     np.testing.assert_allclose(
         rollout.episodes.achieved_goal, expected.episodes.achieved_goal, atol=1e-6
     )

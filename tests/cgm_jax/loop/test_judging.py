@@ -15,6 +15,7 @@ from cgm_jax.agents.ddpg import DDPG
 from cgm_jax.config.fields import SettingError, settings, stack
 from cgm_jax.curricula.accuracy import Accuracy
 from cgm_jax.curricula.protocol import Curriculum, Goals, View
+from cgm_jax.envs import Stage
 from cgm_jax.loop.cycle import plan
 from cgm_jax.loop.environment import remarks_on
 from cgm_jax.loop.judging import rewards, subgoals_succeed, succeeds
@@ -164,8 +165,9 @@ def test_starts_are_never_where_an_episode_ends() -> None:
 def test_episodes_that_end_before_their_first_step_are_dropped_but_not_as_broken(env: Any) -> None:
     trainer = make_trainer(env, TINY)
     hyper = tiny(curriculum="cgm", masked_evaluation_episodes=4)
-    state, metrics = jax.jit(trainer.epoch)(trainer.init(hyper), hyper)
-    assert int(state.replay.inserted) < 2 * TINY.environments
+    state, metrics = jax.jit(trainer.evaluate)(trainer.init(hyper), hyper)
+    assert int(metrics["evaluated_episodes"]) < TINY.evaluation_episodes
+    assert state.curriculum.masks.inserted.min() < 4
     assert float(metrics["physics_warnings"]) == 0.0
 
 
@@ -386,7 +388,21 @@ class UndefinedAtTheGoal(Ruled):
         return off[0] / jnp.linalg.norm(off)
 
 
+class UnmappedRestart(Base):
+    """Begins anew by way of the host, which cannot be vmapped."""
+
+    def restart(self, state: State) -> State:
+        position = state.obs["achieved_goal"]  # pyright: ignore
+        return self.state(jax.pure_callback(lambda x: x, position, position), position)
+
+
+class UnmappedStage(Base):
+    stages = (Stage(lambda x: jax.pure_callback(abs, x, x), lambda x, _: x, 2, 0.1),)
+
+
 REFUSED = {
+    UnmappedRestart: "jax.vmap over restart of it fails with NotImplementedError",
+    UnmappedStage: "stage 1 of it fails with NotImplementedError",
     NoRange: "has goal_reward, so it needs reward_range",
     Both: "has both goal_tolerance and goal_success",
     ThreeTolerances: r"goal_tolerance of it has shape \(3,\), goals have \(2,\)",

@@ -18,12 +18,20 @@ def init_normaliser(observation_size: int, goal_size: int) -> Normaliser:
     )
 
 
+compiled_observe = jax.jit(module.observe, static_argnames=("floor", "distance_threshold"))
+
+
 def observe(
-    normaliser: Normaliser, episodes: Episodes, valid: Any, drawn_goal: Any = None
+    normaliser: Normaliser,
+    episodes: Episodes,
+    valid: Any,
+    drawn_goal: Any = None,
+    floor: float = 0.2,
 ) -> Normaliser:
     drawn_goal = episodes.desired_goal if drawn_goal is None else drawn_goal
-    scales = {"floor": 0.2, "distance_threshold": THRESHOLD}
-    return module.observe(normaliser, episodes, valid, drawn_goal, **scales)
+    return compiled_observe(
+        normaliser, episodes, valid, drawn_goal, floor=floor, distance_threshold=THRESHOLD
+    )
 
 
 def episodes(generator: np.random.Generator, count: int) -> Episodes:
@@ -125,9 +133,7 @@ def test_without_a_floor_an_entry_that_is_always_zero_stays_zero(floor: float) -
     )
     normaliser: Any = init_normaliser(2, 1)
     for _ in range(2):
-        scales = {"floor": floor, "distance_threshold": THRESHOLD}
-        every = jnp.ones(4, bool)
-        normaliser = module.observe(normaliser, batch, every, batch.desired_goal, **scales)
+        normaliser = observe(normaliser, batch, jnp.ones(4, bool), floor=floor)
     seen = np.asarray(batch.observation)[..., 1]
     assert normaliser.observation.std[0] == normaliser.goal.std[0] == 1.0  # 20 thresholds
     np.testing.assert_allclose(normaliser.observation.std[1], seen.std(), rtol=1e-5)

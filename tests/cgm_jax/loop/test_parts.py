@@ -126,13 +126,14 @@ def cut(env: PointMass) -> tuple[Trainer, Callable[..., TrainingState]]:
 CASES = {
     "ddpg and starts": (PointMass(), tiny(curriculum="starts")),
     "sac, starts and episodes that end": (Walled(), tiny(agent="sac", curriculum="starts")),
-    "td3 and episodes that end": (Walled(), tiny(agent="td3", critics=2)),
     "whole rollouts": (HalfTold(), tiny()),
+    "td3 and episodes that end": (Walled(), tiny(agent="td3", critics=2)),
 }
+*QUICK, LONG = CASES
 
 
 @pytest.mark.usefixtures("cut_small")
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*QUICK, pytest.param(LONG, marks=pytest.mark.slow)])
 def test_a_cycle_in_parts_is_a_rollout_and_its_updates(case: str) -> None:
     env, hyper = CASES[case]
     trainer, train = cut(env)
@@ -243,7 +244,7 @@ def test_every_part_keeps_the_structure_of_the_state(values: dict[str, Any]) -> 
 
 @pytest.mark.usefixtures("cut_small")
 def test_an_epoch_is_as_many_parts_as_its_cycles_have() -> None:
-    (trainer, train), hyper = cut(PointMass()), tiny()
+    (trainer, train), hyper = cut(PointMass()), tiny(curriculum="starts")
     epoch = jax.jit(trainer.epoch)
     start = trainer.init(hyper)
     expected = train(start, hyper, TINY.cycles_per_epoch * trainer.parts(hyper).total)
@@ -259,7 +260,7 @@ def test_an_epoch_is_as_many_parts_as_its_cycles_have() -> None:
 @pytest.mark.usefixtures("cut_small")
 def test_a_run_that_diverges_in_one_part_learns_in_none_that_follows() -> None:
     trainer, train = cut(PointMass())
-    hyper = tiny(critic_learning_rate=1e30)
+    hyper = tiny(curriculum="starts", critic_learning_rate=1e30)
     parts = trainer.parts(hyper)
     before = train(trainer.init(hyper), hyper, parts.rollout)
     failed = train(before, hyper, 1)

@@ -1,13 +1,13 @@
 """Training on a Gymnasium environment by the programs, its process included."""
 
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.cgm_jax.sweeps import ROOT, assert_same_results, command, finish, rows, stop
+from cgm_jax import sweep
+from tests.cgm_jax.host.in_process import outcome
+from tests.cgm_jax.sweeps import assert_same_results, command, finish, rows, stop
 
 NAME = "gymnasium:tests.examples.numpy_point_mass:NumpyPointMass-v0"
 
@@ -30,18 +30,16 @@ def test_a_stopped_run_gives_the_bits_of_one_that_was_not_and_needs_no_second_na
     assert "6 episodes" in finish(evaluate).stdout
 
 
-def test_the_process_refuses_in_one_line_what_it_cannot_serve(tmp_path: Path) -> None:
+def test_what_it_cannot_serve_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "broken.py").write_text("import sys\nprint('noise')\n1 / 0\n")
-    result = subprocess.run(
-        [*command("--env", "gymnasium:broken:X-v0", "--out", str(tmp_path / "out"))],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 2
-    line = result.stderr.splitlines()[-1]
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    words = ["--preset", "smoke", "--env", "gymnasium:broken:X-v0", "--out", "out"]
+    code, _, text = outcome(sweep.main, words, capsys)
+    assert code == 2
+    line = text.splitlines()[-1]
     assert line.startswith("error: env: broken fails with ZeroDivisionError: division by zero")
     assert line.endswith("broken.py, line 3)")
     assert not (tmp_path / "out").exists()

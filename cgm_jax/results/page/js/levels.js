@@ -102,7 +102,7 @@ function drawLevelPair(host, panel, across, down) {
     heat, withoutList(without, across));
   const right = element("figure", { class: "panel" },
     element("p", { class: "quiet" }, `${capital(unit)}: medians with quartiles, and every run` +
-      (found.some((one) => !Number.isFinite(one.middle)) ? "; open, where training ended, if success was not reached until then; the dotted line is where the longest ended" : "")),
+      (found.some((one) => one.reached < one.runs) ? "; open, where training ended, if success was not reached until then; the dotted line is where the longest ended" : "")),
     lines);
   host.append(element("div", {}, title ?? "", element("div", { class: "views" }, left, right)));
   const name = `${capital(unit)} until ${choices.level} % is held${panel.title ? `, ${panel.title}` : ""}`;

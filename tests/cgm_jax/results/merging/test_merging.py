@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgm_jax.config.fields import SettingError
 from cgm_jax.config.grid import build_groups
 from cgm_jax.config.named import load_named, name_now
 from cgm_jax.host.settings_file import read_settings_file
-from cgm_jax.results import merging
-from cgm_jax.storage import run_directory
+from cgm_jax.storage import checkpoints, run_directory
 from cgm_jax.storage.checkpoints import FORMAT, damage, finished_checkpoints, format_of
 from cgm_jax.storage.run_directory import RunDirectory
 from tests.cgm_jax.refusing import refusing
@@ -77,7 +77,7 @@ def test_a_full_disk_ends_a_merge_with_74_and_leaves_nothing(
     full = refusing(errno.ENOSPC)
 
     before = sorted(tmp_path.rglob("*"))
-    for module, name in ((run_directory, "locked"), (merging, "write_manifest_again")):
+    for module, name in ((run_directory, "locked"), (checkpoints, "replacing")):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, full)
             assert run(*parts, "--out", tmp_path / "out") == 74
@@ -163,11 +163,30 @@ def test_the_whole_knows_what_each_part_ran_and_parts_do_not_differ_by_that(
     assert merged["files"] == ran[2]
     assert merged["hosted"] == hosted[1]
     assert merged["variables"]["CGM_JAX_GYMNASIUM_PYTHON"] == "python"
+    other = json.loads((parts[0] / "config.json").read_text())
+    other["hosted"] = hosted[1]  # with the interpreter of its own
+    (parts[0] / "config.json").write_text(json.dumps(other))
+    assert run(*parts, "--out", tmp_path / "hosted") == 0
+    assert "parts differ in variables\n" in capsys.readouterr().err
     config = json.loads((parts[2] / "config.json").read_text())
     config["variables"] = {"JAX_ENABLE_X64": "1"}  # which changes bits wherever it is
     (parts[2] / "config.json").write_text(json.dumps(config))
     assert run(*parts, "--out", tmp_path / "again") == 0
     assert "parts differ in variables\n" in capsys.readouterr().err
+    merged = json.loads((tmp_path / "again/config.json").read_text())
+    assert "JAX_ENABLE_X64" not in merged["variables"]  # nor was it for all
+
+
+def test_a_setting_that_the_sweep_does_not_vary_is_the_same_in_all_parts(
+    parts: list[Path], tmp_path: Path
+) -> None:
+    config = json.loads((parts[2] / "config.json").read_text())
+    config["groups"][0]["runs"][0]["discount"] = 0.9  # as a version with another default has it
+    (parts[2] / "config.json").write_text(json.dumps(config))
+    line = f"^discount: {parts[2]} was trained with 0.9, but {parts[0]} with 0.98$"
+    with pytest.raises(SettingError, match=line):
+        run(*parts, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_checkpoint_of_an_older_format_is_not_said_to_be_of_this_one(
