@@ -12,6 +12,7 @@ from cgm_jax.host.command_line import (
     bring_config_back,
     owns_process,
     parse,
+    print_error,
     remark_on_repeated,
     run_program,
 )
@@ -122,7 +123,7 @@ def _claimed(launch: Launch, *, fresh: bool) -> Iterator[tuple[RunDirectory, boo
 def _refused(error: OSError, launch: Launch, *, begun: bool) -> int:
     """Say what the system has refused, and how to go on; return the exit code."""
     place = RUNS if launch.path == Path() else launch.path
-    print(f"error: {refusal(error, place)}", file=sys.stderr)
+    print_error(refusal(error, place))
     print(_how_to_resume(launch) if begun else "nothing was begun", file=sys.stderr)
     return ExitCode.CANNOT_WRITE
 

@@ -11,7 +11,13 @@ from typing import Annotated
 import tyro
 
 from cgm_jax.config.fields import SettingError
-from cgm_jax.host.command_line import bring_config_back, owns_process, parse, run_program
+from cgm_jax.host.command_line import (
+    bring_config_back,
+    owns_process,
+    parse,
+    print_error,
+    run_program,
+)
 from cgm_jax.host.conclusion import conclude
 from cgm_jax.host.exit_codes import ExitCode
 from cgm_jax.host.interruption import Interruption
@@ -84,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _refused(error: OSError, directory: Path) -> int:
     """Say what the system has refused; return the exit code."""
-    print(f"error: {refusal(error, directory)}", file=sys.stderr)
+    print_error(refusal(error, directory))
     return ExitCode.CANNOT_WRITE
 
 

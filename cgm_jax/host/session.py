@@ -122,7 +122,7 @@ def _train_as_asked(
 
 def _refused(error: OSError, options: TrainingOptions, out: Path | None) -> int:
     """Say what the system has refused, and how to go on; return the exit code."""
-    print(f"error: {refusal(error, out or RUNS)}", file=sys.stderr)
+    print_error(refusal(error, out or RUNS))
     begun = options.resume is not None
     if out is not None and not begun:  # a lost config may not have come back
         begun = RunDirectory(out).holds_sweep() or holds_config(out / "checkpoints")
